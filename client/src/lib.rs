@@ -1,0 +1,1 @@
+//! The client: what it believes about the world, and what it asks.

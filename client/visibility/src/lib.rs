@@ -1,0 +1,15 @@
+//! *View + scene → visible set*: scenes from glTF files and cullers over them.
+//!
+//! Nothing here knows of a network, a clock or another thread; it is worth using alone. The words are the papers'
+//! (Klosowski & Silva 2000 and 2001, Staneker 2003, Coorg & Teller 1997, Sudarsky & Gotsman 1999).
+//!
+//! World: metres, right-handed, +Y up, −Z forward (glTF's convention). Inside a [`Scene`] every position is relative
+//! to the scene's `anchor`.
+
+mod bound;
+mod occlusion;
+mod view;
+
+pub use bound::{Aabb, Bound};
+pub use occlusion::{DynamicIndex, Occlusion};
+pub use view::{EyeRegion, Resolution, View};

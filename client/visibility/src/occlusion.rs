@@ -1,0 +1,28 @@
+//! What a static culler leaves behind for moving things, and the structure that holds them.
+
+use crate::Bound;
+
+/// Says whether a bound is hidden by the static scene, as seen from the eye region that it was made for.
+pub trait Occlusion {
+    /// True only if no point of `bound` can be seen from any eye of the region, in any direction that the interest
+    /// covers. Rounds outward: a tie, or doubt, is `false`. [`Bound::Everywhere`] is never hidden.
+    fn hides(&self, bound: &Bound) -> bool;
+}
+
+/// The dynamic half of S&G's structure T: holds one bound per key, and walks them against an occlusion without
+/// touching what lies in hidden nodes (Sudarsky & Gotsman 1999, §4).
+pub trait DynamicIndex {
+    /// Inserts `key`, or moves it if it is there already.
+    fn insert(&mut self, key: u32, bound: Bound);
+    /// Removes `key`; returns whether it was there.
+    fn remove(&mut self, key: u32) -> bool;
+    /// Appends to `exposed` every key whose bound `occlusion` does not hide, in ascending order of key. Returns the
+    /// work done: nodes visited plus bounds tested.
+    fn exposed(&self, occlusion: &dyn Occlusion, exposed: &mut Vec<u32>) -> usize;
+    /// Number of bounds held.
+    fn len(&self) -> usize;
+    /// Whether none is held.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}

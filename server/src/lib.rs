@@ -1,0 +1,3 @@
+//! The shared world: who is where, and who may be told.
+
+pub mod spec;

@@ -1,0 +1,1 @@
+//! Scenes, motion, measurement and reports.

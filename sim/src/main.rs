@@ -1,0 +1,3 @@
+//! `eyeline-sim`: makes worlds, runs them, and measures.
+
+fn main() {}
