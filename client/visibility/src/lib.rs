@@ -8,8 +8,10 @@
 
 mod bound;
 mod occlusion;
+mod scene;
 mod view;
 
 pub use bound::{Aabb, Bound};
-pub use occlusion::{DynamicIndex, Occlusion};
+pub use occlusion::{DynamicIndex, Occlusion, Target};
+pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
 pub use view::{EyeRegion, Resolution, View};

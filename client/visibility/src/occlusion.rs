@@ -26,3 +26,15 @@ pub trait DynamicIndex {
         self.len() == 0
     }
 }
+
+/// An image that a traversal draws occluders into and asks about boxes: what is left of a query back end when cPLP's
+/// traversal is taken away. One target may be one view or six (all round).
+pub trait Target {
+    /// Draws these primitives of the scene that the target was made for.
+    fn draw(&mut self, primitives: &[u32]);
+    /// Whether any point of the box may be seen past what was drawn so far: in the view, and not certainly behind.
+    /// Rounds outward: doubt is `true`. A box that touches the eye or the near plane is visible.
+    fn sees(&self, aabb: &crate::Aabb) -> bool;
+    /// Whether nothing more can be seen anywhere in the image, so that a traversal may stop.
+    fn is_full(&self) -> bool;
+}
