@@ -1,0 +1,396 @@
+//! Everything that is said, in both directions.
+//!
+//! Two ways: the *control stream* (reliable, in order, one bidirectional QUIC stream, each message behind a u32
+//! length) and *datagrams* (a header and as many records as fit; newest wins). A **message** in every count is one
+//! record about one object.
+//!
+//! ```text
+//! datagram, client to server                     datagram, server to client
+//! seq ack ack_bits hold   LinkHeader             seq ack ack_bits hold   LinkHeader
+//! frame                   client's world time    sent                    server's world time now
+//! record*                                        tick                    world time of the committed state
+//!                                                record*
+//!
+//! record                  bytes                  record                  bytes
+//! 0 Pose                  1+3+12+4 = 20          0 State                 1+3+12+4 = 20
+//! 1 Request               1+3+1+1  = 6           1 Bound                 1+3+12+(1..5)·5, at most 41
+//! 2 Release               1+3+1    = 5           2 Violation             1+3+(1..5)+(1..9)+1
+//! 3 ViolationAck          1+3+(1..5)             3 Hidden                1+3 = 4
+//! ```
+//!
+//! Integers that are not fixed arrays are bincode's variable-length ones. The golden bytes are in `codec`'s tests.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    ClassId, ClientId, Extent, Issue, LinkHeader, MotionBound, ObjectId, Orientation, Position, Tbv, WorldTime,
+};
+use crate::{QUANTUM_METRES, codec};
+
+/// Who the client wants to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Role {
+    /// Looks, and has one avatar that others see.
+    Avatar,
+    /// Only moves this many avatars and looks at nothing: a replay.
+    Actor {
+        /// Number of avatars to drive.
+        avatars: u16,
+    },
+}
+
+/// Which directions a client wants to hear of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Interest {
+    /// All, since a turn of the head beats any lead.
+    Around,
+    /// Its view's frustum only (the paper's).
+    Frustum,
+}
+
+impl std::fmt::Display for Interest {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Interest::Around => "around",
+            Interest::Frustum => "frustum",
+        })
+    }
+}
+
+/// Client to server, on the control stream.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ClientControl {
+    /// The first message.
+    Hello {
+        /// [`crate::VERSION`] of the client.
+        version: u16,
+        /// Admission token; empty for anonymous.
+        token: Vec<u8>,
+        /// Greatest resolution that it will draw at, pixels.
+        resolution: (u16, u16),
+        /// Which directions it wants to hear of.
+        interest: Interest,
+        /// Who it wants to be.
+        role: Role,
+        /// A name for people.
+        name: String,
+    },
+    /// Asks for the world's bytes, on a stream of their own.
+    WorldWanted,
+    /// Puts one of its own avatars somewhere, breaking its bound: a teleport, or leaving and entering the world.
+    Place {
+        /// Which avatar.
+        object: ObjectId,
+        /// Where to.
+        position: Position,
+        /// Whether it is in the world from now on.
+        present: bool,
+    },
+    /// The last message.
+    Goodbye,
+}
+
+/// A kind of object.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Class {
+    /// Name for people, and of the world file.
+    pub name: String,
+    /// How it moves.
+    pub motion: MotionBound,
+    /// How far it reaches.
+    pub extent: Extent,
+    /// Height of the eye above the reference point, metres; 0 for things without one.
+    pub eye_height: f64,
+}
+
+/// Names the static world.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WorldInfo {
+    /// Name for people.
+    pub name: String,
+    /// BLAKE3 of the model's bytes.
+    pub hash: [u8; 32],
+    /// Size of the model.
+    pub size_bytes: u64,
+}
+
+/// What an admitted client must know.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Welcome {
+    /// [`crate::VERSION`] of the server.
+    pub version: u16,
+    /// The client's own number.
+    pub client: ClientId,
+    /// Its avatars, and where they stand.
+    pub avatars: Vec<(ObjectId, Position, Orientation)>,
+    /// Point of the model's space that all positions are relative to, metres.
+    pub anchor: [f64; 3],
+    /// World time between ticks, microseconds.
+    pub tick_micros: u32,
+    /// The interest policy's name.
+    pub policy: String,
+    /// Whether the client decides what to ask for (the policy `visible`), or is told.
+    pub tracking: bool,
+    /// Least radius within which a hidden object's place is kept uncertain, metres.
+    pub blur: f64,
+    /// The static world.
+    pub world: WorldInfo,
+    /// Kinds of objects; a [`ClassId`] is an index.
+    pub classes: Vec<Class>,
+}
+
+/// One object that exists. Says nothing of where it is beyond `bound`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RosterEntry {
+    /// Its id.
+    pub object: ObjectId,
+    /// Its kind.
+    pub class: ClassId,
+    /// A name for people.
+    pub name: String,
+    /// Node of the model with its mesh; empty for an avatar.
+    pub node: String,
+    /// A first bound, so that it need not be asked for; `None` if it is not in the world or the policy needs none.
+    pub bound: Option<WireTbv>,
+    /// Its issue number.
+    pub issue: Issue,
+    /// Whether it is in the world.
+    pub present: bool,
+}
+
+/// Why a client was not admitted or is sent away.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Refusal {
+    /// Another [`crate::VERSION`].
+    Version,
+    /// No avatar or session is free.
+    Full,
+    /// It said something that makes no sense.
+    Protocol,
+    /// The server ends.
+    ShuttingDown,
+}
+
+/// Server to client, on the control stream.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ServerControl {
+    /// The client is in.
+    Welcome(Box<Welcome>),
+    /// It is not, or no longer.
+    Refused {
+        /// Why, for programs.
+        refusal: Refusal,
+        /// Why, for people, with the remedy.
+        reason: String,
+    },
+    /// Objects that exist, in pieces.
+    Roster {
+        /// World time of the state that the bounds were made from.
+        tick: WorldTime,
+        /// At most [`ServerControl::ROSTER_MAX`].
+        entries: Vec<RosterEntry>,
+    },
+    /// These objects exist no more.
+    Left {
+        /// Their ids.
+        objects: Vec<ObjectId>,
+    },
+}
+
+impl ServerControl {
+    /// Most entries in one piece of roster.
+    pub const ROSTER_MAX: usize = 256;
+}
+
+/// Head of a client's datagram.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClientHeader {
+    /// Delivery.
+    pub link: LinkHeader,
+    /// The client's idea of the world's time at its newest frame.
+    pub frame: WorldTime,
+}
+
+/// Head of a server's datagram.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ServerHeader {
+    /// Delivery.
+    pub link: LinkHeader,
+    /// The server's clock when the datagram was made.
+    pub sent: WorldTime,
+    /// World time of the committed state that every record speaks of.
+    pub tick: WorldTime,
+}
+
+/// What the client asks an answer for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Want {
+    /// A fresh bound.
+    Bound,
+    /// The state, and updates from now on.
+    State,
+}
+
+/// Why a client asks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Reason {
+    /// It holds no bound yet.
+    Unknown,
+    /// The bound became visible.
+    Exposed,
+    /// The bound's time is up.
+    Expired,
+    /// The object broke its bound.
+    Violated,
+}
+
+/// Client to server, in a datagram.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ClientRecord {
+    /// Where one of its avatars is. 20 bytes.
+    Pose {
+        /// Which avatar.
+        object: ObjectId,
+        /// Its reference point.
+        position: Position,
+        /// How it is turned.
+        orientation: Orientation,
+    },
+    /// Asks about an object. Idempotent; sent again until answered.
+    Request {
+        /// About which.
+        object: ObjectId,
+        /// For what.
+        want: Want,
+        /// Why, for the counters.
+        reason: Reason,
+    },
+    /// The object can't be seen any more: no more updates. Sent again while updates come.
+    Release {
+        /// Which.
+        object: ObjectId,
+        /// Whether to answer with a fresh bound.
+        want_bound: bool,
+    },
+    /// Has heard of a violation.
+    ViolationAck {
+        /// Of which object.
+        object: ObjectId,
+        /// The issue number heard of.
+        issue: Issue,
+    },
+}
+
+/// A [`Tbv`] as it is sent: rounded outward, and relative to the time of its carrier.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WireTbv {
+    /// Middle of the ball.
+    pub centre: Position,
+    /// Radius in steps of 2⁻¹⁰ m, rounded up.
+    pub radius_steps: u32,
+    /// Growth in steps of 2⁻¹⁰ m a second, rounded up.
+    pub speed_steps: u32,
+    /// How long before the carrier's tick it was issued, microseconds.
+    pub age_micros: u32,
+    /// How long after the carrier's tick it expires, milliseconds, rounded down.
+    pub valid_millis: u32,
+    /// The object's issue number.
+    pub issue: Issue,
+}
+
+impl WireTbv {
+    /// The bound as it is sent in a carrier of time `tick`, rounded outward in space and inward in time. `None` if the
+    /// bound is too wide or too fast for the wire, or has expired: then nothing can be said ("everywhere").
+    pub fn new(tbv: &Tbv, tick: WorldTime) -> Option<WireTbv> {
+        let up = |metres: f64| {
+            let steps = (metres / QUANTUM_METRES).ceil();
+            (steps <= f64::from(u32::MAX)).then_some(steps as u32) // NaN fails
+        };
+        if tbv.issued > tick || tbv.expires < tick {
+            return None;
+        }
+        let valid = tbv.expires.since(tick).as_millis();
+        Some(WireTbv {
+            centre: tbv.centre,
+            radius_steps: up(tbv.radius)?,
+            speed_steps: up(tbv.speed)?,
+            age_micros: u32::try_from(tick.since(tbv.issued).as_micros()).ok()?,
+            valid_millis: u32::try_from(valid).unwrap_or(u32::MAX),
+            issue: tbv.issue,
+        })
+    }
+
+    /// The bound that a carrier of time `tick` speaks of. Contains the one it was made from.
+    pub fn tbv(&self, tick: WorldTime) -> Tbv {
+        Tbv {
+            centre: self.centre,
+            radius: f64::from(self.radius_steps) * QUANTUM_METRES,
+            speed: f64::from(self.speed_steps) * QUANTUM_METRES,
+            issued: tick.offset_micros(-i64::from(self.age_micros)),
+            expires: tick.offset_micros(i64::from(self.valid_millis) * 1000),
+            issue: self.issue,
+        }
+    }
+}
+
+/// Server to client, in a datagram. All are true at the header's `tick`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ServerRecord {
+    /// Where a visible object is. 20 bytes.
+    State {
+        /// Which.
+        object: ObjectId,
+        /// Its reference point.
+        position: Position,
+        /// How it is turned.
+        orientation: Orientation,
+    },
+    /// Where a hidden object may be.
+    Bound {
+        /// Which.
+        object: ObjectId,
+        /// The volume.
+        tbv: WireTbv,
+    },
+    /// The object broke every bound of an older issue. Sent again until acknowledged.
+    Violation {
+        /// Which.
+        object: ObjectId,
+        /// The issue number from now on.
+        issue: Issue,
+        /// How long before the header's tick it happened, microseconds. What is known from before that is void.
+        age_micros: u64,
+        /// Whether the object is in the world now.
+        present: bool,
+    },
+    /// The server no longer tells of this object (policies that decide at the server).
+    Hidden {
+        /// Which.
+        object: ObjectId,
+    },
+}
+
+/// Greatest size of a token in hello.
+pub const TOKEN_BYTES_MAX: usize = 1024;
+
+/// Greatest length of a name.
+pub const NAME_BYTES_MAX: usize = 64;
+
+impl ClientControl {
+    /// Checks what types can't: lengths and ranges.
+    ///
+    /// # Errors
+    /// Names the field and the limit.
+    pub fn check(&self) -> Result<(), codec::DecodeError> {
+        use codec::DecodeError::Field;
+        match self {
+            ClientControl::Hello { token, .. } if token.len() > TOKEN_BYTES_MAX => {
+                Err(Field { field: "token", limit: TOKEN_BYTES_MAX })
+            }
+            ClientControl::Hello { name, .. } if name.len() > NAME_BYTES_MAX => {
+                Err(Field { field: "name", limit: NAME_BYTES_MAX })
+            }
+            _ => Ok(()),
+        }
+    }
+}
