@@ -1,1 +1,8 @@
 //! The client: what it believes about the world, and what it asks.
+//!
+//! [`session::Session`] and [`tracking::Tracker`] are pure state machines: no socket, no clock, no thread. The feature
+//! `net` adds the QUIC shell.
+
+pub mod clock;
+pub mod session;
+pub mod tracking;

@@ -1,3 +1,9 @@
 //! The shared world: who is where, and who may be told.
+//!
+//! [`world::World`] is a pure state machine that runs over real QUIC and in virtual time alike; a [`policy::Policy`]
+//! decides what each client is told.
 
+pub mod path;
+pub mod policy;
 pub mod spec;
+pub mod world;

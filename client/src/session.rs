@@ -1,0 +1,350 @@
+//! One client's side of a connection, pure: bytes and time in, bytes and beliefs out.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use eyeline_protocol::codec::{self, DatagramWriter, DecodeError};
+use eyeline_protocol::{
+    Arrival, ClientControl, ClientHeader, ClientRecord, Interest, Link, LocalTime, ObjectId, Orientation, Position,
+    Refusal, Role, ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
+};
+use eyeline_visibility::{DynamicIndex, Occlusion};
+
+use crate::clock::Clock;
+use crate::tracking::{Sabotage, Tracker, TrackerConfig};
+
+/// Settings of a [`Session`].
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct SessionConfig {
+    /// Greatest resolution that will be drawn at, pixels; default 320×240.
+    pub resolution: (u16, u16),
+    /// Which directions to hear of; default all.
+    pub interest: Interest,
+    /// Who to be; default one avatar.
+    pub role: Role,
+    /// A name for people.
+    pub name: String,
+    /// The tracker's settings.
+    pub tracker: TrackerConfig,
+}
+
+impl Default for SessionConfig {
+    fn default() -> SessionConfig {
+        SessionConfig {
+            resolution: (320, 240),
+            interest: Interest::Around,
+            role: Role::Avatar,
+            name: String::new(),
+            tracker: TrackerConfig::default(),
+        }
+    }
+}
+
+impl SessionConfig {
+    /// Sets the greatest resolution.
+    pub fn with_resolution(self, width: u16, height: u16) -> SessionConfig {
+        SessionConfig { resolution: (width, height), ..self }
+    }
+
+    /// Sets who to be.
+    pub fn with_role(self, role: Role) -> SessionConfig {
+        SessionConfig { role, ..self }
+    }
+
+    /// Sets the name.
+    pub fn with_name(self, name: impl Into<String>) -> SessionConfig {
+        SessionConfig { name: name.into(), ..self }
+    }
+
+    /// Sets the tracker's settings.
+    pub fn with_tracker(self, tracker: TrackerConfig) -> SessionConfig {
+        SessionConfig { tracker, ..self }
+    }
+}
+
+/// What an application may want to know.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// The server let us in.
+    Welcomed(Box<Welcome>),
+    /// The server did not, or sends us away.
+    Refused {
+        /// Why, for programs.
+        refusal: Refusal,
+        /// Why, for people.
+        reason: String,
+    },
+    /// The server said something that makes no sense; the connection is of no more use.
+    ServerFault(DecodeError),
+}
+
+/// Counters of a session.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SessionStats {
+    /// Datagrams received.
+    pub datagrams_in: u64,
+    /// Datagrams sent.
+    pub datagrams_out: u64,
+    /// Records received.
+    pub records_in: u64,
+    /// Records sent.
+    pub records_out: u64,
+    /// Datagrams that made no sense.
+    pub rejected: u64,
+    /// Duplicates, and datagrams too old to tell.
+    pub stale: u64,
+}
+
+/// What a frame was made with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameTime {
+    /// Latest possible server time: what bounds were grown to.
+    pub latest: WorldTime,
+    /// Probable server time: what the frame shows.
+    pub shown: WorldTime,
+}
+
+/// Makes the structure T for a world; see [`Session::new`].
+pub type IndexMaker = Box<dyn Fn() -> Box<dyn DynamicIndex + Send> + Send>;
+
+/// One client's side of a connection.
+///
+/// Feed it through `handle_*` and [`Session::frame`], then drain [`Session::poll_control`] and
+/// [`Session::poll_datagram`].
+pub struct Session {
+    config: SessionConfig,
+    make_index: IndexMaker,
+    link: Link<()>,
+    clock: Clock,
+    tracker: Option<Tracker>,
+    welcome: Option<Box<Welcome>>,
+    poses: BTreeMap<ObjectId, (Position, Orientation)>,
+    /// Avatars whose newest pose has not been said, by id; emptied in turn so that none is starved.
+    poses_due: VecDeque<ObjectId>,
+    owes_ack: bool,
+    /// A record that did not fit into the last datagram.
+    held_back: Option<ClientRecord>,
+    control: VecDeque<Vec<u8>>,
+    events: VecDeque<Event>,
+    /// Probable server time at the newest frame; never goes back.
+    shown: WorldTime,
+    states_received: Vec<ObjectId>,
+    stats: SessionStats,
+}
+
+impl Session {
+    /// A session that says hello first. `make_index` makes T once the server has let it in.
+    pub fn new(config: SessionConfig, make_index: IndexMaker) -> Session {
+        let hello = ClientControl::Hello {
+            version: VERSION,
+            token: Vec::new(),
+            resolution: config.resolution,
+            interest: config.interest,
+            role: config.role,
+            name: config.name.clone(),
+        };
+        Session {
+            config,
+            make_index,
+            link: Link::default(),
+            clock: Clock::default(),
+            tracker: None,
+            welcome: None,
+            poses: BTreeMap::new(),
+            poses_due: VecDeque::new(),
+            owes_ack: false,
+            held_back: None,
+            control: VecDeque::from([codec::encode_control(&hello)]),
+            events: VecDeque::new(),
+            shown: WorldTime::ZERO,
+            states_received: Vec::new(),
+            stats: SessionStats::default(),
+        }
+    }
+
+    /// One control message, without its length prefix.
+    pub fn handle_control(&mut self, bytes: &[u8]) {
+        match codec::decode_server_control(bytes) {
+            Err(error) => self.events.push_back(Event::ServerFault(error)),
+            Ok(ServerControl::Welcome(welcome)) => {
+                if self.welcome.is_some() {
+                    return;
+                }
+                let tracker = Tracker::new(
+                    self.config.tracker.clone(),
+                    welcome.tracking,
+                    welcome.blur,
+                    welcome.classes.clone(),
+                    (self.make_index)(),
+                );
+                self.tracker = Some(tracker);
+                self.poses = welcome.avatars.iter().map(|&(id, at, turn)| (id, (at, turn))).collect();
+                // Without a frame yet, say something: the clock needs a probe.
+                self.owes_ack = true;
+                self.welcome = Some(welcome.clone());
+                self.events.push_back(Event::Welcomed(welcome));
+            }
+            Ok(ServerControl::Refused { refusal, reason }) => self.events.push_back(Event::Refused { refusal, reason }),
+            Ok(ServerControl::Roster { tick, entries }) => {
+                if let Some(tracker) = &mut self.tracker {
+                    for entry in &entries {
+                        tracker.handle_roster(entry, tick);
+                    }
+                }
+            }
+            Ok(ServerControl::Left { objects }) => {
+                if let Some(tracker) = &mut self.tracker {
+                    for object in objects {
+                        tracker.handle_left(object);
+                    }
+                }
+            }
+        }
+    }
+
+    /// One datagram. With the newest frame's `occlusion` answers are acted on at once.
+    pub fn handle_datagram(&mut self, bytes: &[u8], occlusion: Option<&dyn Occlusion>, now: LocalTime) {
+        let Some(tracker) = &mut self.tracker else { return };
+        let (header, records) = match codec::decode_server_datagram(bytes) {
+            Ok(datagram) => datagram,
+            Err(_) => {
+                self.stats.rejected += 1;
+                return;
+            }
+        };
+        self.stats.datagrams_in += 1;
+        let sent_at = self.link.sent_at(header.link.ack);
+        if self.link.receive(&header.link, now, |()| (), |()| ()) == Arrival::Stale {
+            self.stats.stale += 1;
+            return;
+        }
+        self.owes_ack = true;
+        if let Some(sent_at) = sent_at {
+            let hold = std::time::Duration::from_micros(u64::from(header.link.hold_micros));
+            self.clock.observe(header.sent, now.since(sent_at).saturating_sub(hold), now);
+            if self.config.tracker.sabotage == Some(Sabotage::FreezeClock) {
+                self.clock.freeze(now);
+            }
+        }
+        let round_trip = self.link.round_trip().map(|round_trip| round_trip.smoothed);
+        tracker.handle_path(round_trip, self.link.timeout());
+        self.stats.records_in += records.len() as u64;
+        for record in records {
+            match record {
+                ServerRecord::State { object, position, orientation } => {
+                    self.states_received.push(object);
+                    tracker.handle_state(object, position, orientation, header.tick, now);
+                }
+                ServerRecord::Bound { object, tbv } => tracker.handle_bound(object, tbv.tbv(header.tick), occlusion),
+                ServerRecord::Violation { object, issue, age_micros, present } => {
+                    let age = i64::try_from(age_micros).unwrap_or(i64::MAX);
+                    tracker.handle_violation(object, issue, header.tick.offset_micros(age.saturating_neg()), present);
+                }
+                ServerRecord::Hidden { object } => tracker.handle_hidden(object, header.tick),
+            }
+        }
+    }
+
+    /// Puts one of our avatars somewhere; it is said with the next datagram. Positions are relative to the anchor.
+    pub fn set_pose(&mut self, object: ObjectId, position: Position, orientation: Orientation) {
+        if let Some(pose) = self.poses.get_mut(&object) {
+            *pose = (position, orientation);
+            if !self.poses_due.contains(&object) {
+                self.poses_due.push_back(object);
+            }
+        }
+    }
+
+    /// Teleports one of our avatars, or takes it into or out of the world.
+    pub fn place(&mut self, object: ObjectId, position: Position, present: bool) {
+        self.control.push_back(codec::encode_control(&ClientControl::Place { object, position, present }));
+        if let Some(pose) = self.poses.get_mut(&object) {
+            pose.0 = position;
+        }
+    }
+
+    /// Asks for the model's bytes.
+    pub fn want_world(&mut self) {
+        self.control.push_back(codec::encode_control(&ClientControl::WorldWanted));
+    }
+
+    /// Says goodbye.
+    pub fn leave(&mut self) {
+        self.control.push_back(codec::encode_control(&ClientControl::Goodbye));
+    }
+
+    /// One frame: decides what is asked. `None` until the server's time is known.
+    pub fn frame(&mut self, occlusion: &dyn Occlusion, now: LocalTime) -> Option<FrameTime> {
+        let latest = self.clock.latest(now)?;
+        let shown = self.clock.smoothed(now)?.max(self.shown);
+        self.shown = shown;
+        self.tracker.as_mut()?.frame(latest, occlusion, now);
+        Some(FrameTime { latest, shown })
+    }
+
+    /// The next bytes for the control stream, prefix included.
+    pub fn poll_control(&mut self) -> Option<Vec<u8>> {
+        self.control.pop_front()
+    }
+
+    /// The next datagram of at most `limit` bytes.
+    pub fn poll_datagram(&mut self, limit: usize, now: LocalTime) -> Option<Vec<u8>> {
+        let tracker = self.tracker.as_mut()?;
+        let mut next = self.held_back.take().or_else(|| tracker.poll_record(now));
+        if next.is_none() && self.poses_due.is_empty() && !self.owes_ack {
+            return None;
+        }
+        self.owes_ack = false;
+        let (link, _) = self.link.send((), now);
+        self.link.expire(now, |()| ());
+        let mut writer = DatagramWriter::new(&ClientHeader { link, frame: self.shown }, limit);
+        while let Some(&object) = self.poses_due.front() {
+            let (position, orientation) = self.poses[&object];
+            if !writer.push(&ClientRecord::Pose { object, position, orientation }) {
+                break;
+            }
+            self.stats.records_out += 1;
+            self.poses_due.pop_front();
+        }
+        while let Some(record) = next.take() {
+            if !writer.push(&record) {
+                self.held_back = Some(record);
+                break;
+            }
+            self.stats.records_out += 1;
+            next = tracker.poll_record(now);
+        }
+        self.stats.datagrams_out += 1;
+        Some(writer.finish())
+    }
+
+    /// The next event.
+    pub fn poll_event(&mut self) -> Option<Event> {
+        self.events.pop_front()
+    }
+
+    /// What the server said at the beginning.
+    pub fn welcome(&self) -> Option<&Welcome> {
+        self.welcome.as_deref()
+    }
+
+    /// Beliefs, once the server has let us in.
+    pub fn tracker(&self) -> Option<&Tracker> {
+        self.tracker.as_ref()
+    }
+
+    /// Objects whose states arrived since the last call, in order of arrival.
+    pub fn take_states_received(&mut self) -> Vec<ObjectId> {
+        std::mem::take(&mut self.states_received)
+    }
+
+    /// Round-trip time and the greatest of the last 5 s.
+    pub fn round_trip(&self) -> Option<(std::time::Duration, std::time::Duration)> {
+        Some((self.link.round_trip()?.smoothed, self.link.round_trip_max()?))
+    }
+
+    /// Counters since the start.
+    pub fn stats(&self) -> &SessionStats {
+        &self.stats
+    }
+}

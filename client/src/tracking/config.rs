@@ -1,0 +1,96 @@
+//! Settings of a tracker.
+
+use std::time::Duration;
+
+/// Who chooses validity periods.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Growth {
+    /// The client, without messages: bounds are held grown to the end of a stage, and grown further while hidden.
+    AtClient,
+    /// The paper's way: a fixed validity period, and a request each time that one ends.
+    FixedPeriod(Duration),
+}
+
+/// Ways to break a tracker on purpose, to see that a measurement notices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sabotage {
+    /// Exposed bounds are ignored.
+    DropExposures,
+    /// What is asked leaves one frame late.
+    LateOneTick,
+    /// The clock that bounds grow by stands still.
+    FreezeClock,
+}
+
+impl std::str::FromStr for Sabotage {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Sabotage, String> {
+        match text {
+            "drop-exposures" => Ok(Sabotage::DropExposures),
+            "late-one-tick" => Ok(Sabotage::LateOneTick),
+            "freeze-clock" => Ok(Sabotage::FreezeClock),
+            other => Err(format!("'{other}' is not drop-exposures, late-one-tick or freeze-clock")),
+        }
+    }
+}
+
+/// Settings of a [`super::Tracker`].
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct TrackerConfig {
+    /// Time between frames; default 50 ms. The shortest stage.
+    pub frame: Duration,
+    /// Who chooses validity periods; default the client.
+    pub growth: Growth,
+    /// Longest stage in frames; default 128. Longer ones make bounds that are exposed sooner, and fewer tests.
+    pub stage_frames_max: u32,
+    /// For how many frames an object must be hidden before updates are declined; default 2. More costs pushes, fewer
+    /// costs requests where something flickers behind a door frame.
+    pub linger_frames: u32,
+    /// Whether an exposed bound is first made fresh before a state is asked for, when both round trips fit in one
+    /// frame; default true. It costs a round trip and tells less about what is hidden.
+    pub staged: bool,
+    /// Deliberate damage; default none.
+    pub sabotage: Option<Sabotage>,
+}
+
+impl Default for TrackerConfig {
+    fn default() -> TrackerConfig {
+        TrackerConfig {
+            frame: Duration::from_millis(50),
+            growth: Growth::AtClient,
+            stage_frames_max: 128,
+            linger_frames: 2,
+            staged: true,
+            sabotage: None,
+        }
+    }
+}
+
+impl TrackerConfig {
+    /// Sets the time between frames.
+    pub fn with_frame(self, frame: Duration) -> TrackerConfig {
+        TrackerConfig { frame, ..self }
+    }
+
+    /// Sets who chooses validity periods.
+    pub fn with_growth(self, growth: Growth) -> TrackerConfig {
+        TrackerConfig { growth, ..self }
+    }
+
+    /// Sets how long an object must be hidden before updates are declined, in frames.
+    pub fn with_linger_frames(self, linger_frames: u32) -> TrackerConfig {
+        TrackerConfig { linger_frames, ..self }
+    }
+
+    /// Sets whether exposed bounds are first made fresh.
+    pub fn with_staged(self, staged: bool) -> TrackerConfig {
+        TrackerConfig { staged, ..self }
+    }
+
+    /// Damages the tracker.
+    pub fn with_sabotage(self, sabotage: Option<Sabotage>) -> TrackerConfig {
+        TrackerConfig { sabotage, ..self }
+    }
+}

@@ -1,0 +1,642 @@
+//! The tracker: S&G's algorithm over one client's beliefs.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+use eyeline_protocol::{
+    Class, ClientRecord, Issue, LocalTime, ObjectId, Orientation, Position, Reason, RosterEntry, Tbv, Want, WorldTime,
+};
+use eyeline_visibility::{Aabb, Bound, DynamicIndex, Occlusion};
+use glam::DVec3;
+
+use super::{Growth, Sabotage, TrackerConfig, TrackerStats};
+
+/// Something that the client shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drawn {
+    /// Which object.
+    pub object: ObjectId,
+    /// Where it was last known to be.
+    pub position: Position,
+    /// How it was turned.
+    pub orientation: Orientation,
+    /// World time of that knowledge.
+    pub tick: WorldTime,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct State {
+    position: Position,
+    orientation: Orientation,
+    tick: WorldTime,
+}
+
+/// What the client believes about an object.
+#[derive(Clone, Copy, Debug)]
+enum Belief {
+    /// Nothing: it may be everywhere. Asked for.
+    Unknown,
+    /// It is inside, and that was hidden when it was last tested. In T and Q unless asked for.
+    Hidden(Tbv),
+    /// Shown, and told of by the server. In V.
+    Visible,
+    /// Not in the world.
+    Absent,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Ask {
+    want: Want,
+    reason: Reason,
+    sent_at: Option<LocalTime>,
+    not_before: Option<u64>,
+}
+
+/// One object's place in D.
+#[derive(Debug)]
+struct Entry {
+    class: usize,
+    belief: Belief,
+    issue: Issue,
+    /// Knowledge from before this time is void.
+    valid_from: WorldTime,
+    state: Option<State>,
+    ask: Option<Ask>,
+    /// When the end of its stage is due in Q.
+    due: Option<WorldTime>,
+    /// Present length of a stage, in frames.
+    stage_frames: u32,
+    /// For how many frames in a row it has been in V and hidden.
+    hidden_frames: u32,
+    /// When updates were declined, as long as that has not been answered or repeated.
+    released_at: Option<LocalTime>,
+    /// Whether a bound is awaited in answer to a release.
+    releasing: bool,
+}
+
+/// Beliefs about every object, and what to ask about them.
+pub struct Tracker {
+    config: TrackerConfig,
+    /// Whether the client asks (`visible`) or is told.
+    tracking: bool,
+    blur: f64,
+    classes: Vec<Class>,
+    /// D.
+    entries: BTreeMap<ObjectId, Entry>,
+    /// T.
+    index: Box<dyn DynamicIndex + Send>,
+    /// Q.
+    queue: BTreeSet<(WorldTime, ObjectId)>,
+    /// V.
+    visible: BTreeSet<ObjectId>,
+    /// Objects that an answer is awaited for.
+    asked: BTreeSet<ObjectId>,
+    out: VecDeque<ClientRecord>,
+    exposed: Vec<u32>,
+    /// Latest possible server time at the newest frame.
+    latest: WorldTime,
+    /// Round trip and turnaround, for the decision whether two fit in a frame.
+    round_trip: Option<Duration>,
+    timeout: Duration,
+    stats: TrackerStats,
+}
+
+impl Tracker {
+    /// A tracker of nothing yet. `tracking`, `blur` and `classes` are the welcome's; `index` becomes T.
+    pub fn new(
+        config: TrackerConfig,
+        tracking: bool,
+        blur: f64,
+        classes: Vec<Class>,
+        index: Box<dyn DynamicIndex + Send>,
+    ) -> Tracker {
+        Tracker {
+            config,
+            tracking,
+            blur,
+            classes,
+            entries: BTreeMap::new(),
+            index,
+            queue: BTreeSet::new(),
+            visible: BTreeSet::new(),
+            asked: BTreeSet::new(),
+            out: VecDeque::new(),
+            exposed: Vec::new(),
+            latest: WorldTime::MIN,
+            round_trip: None,
+            timeout: Duration::from_secs(1),
+            stats: TrackerStats::default(),
+        }
+    }
+
+    /// What the path is like: the round trip, if known, and when to ask again.
+    pub fn handle_path(&mut self, round_trip: Option<Duration>, timeout: Duration) {
+        self.round_trip = round_trip;
+        self.timeout = timeout;
+    }
+
+    /// An object exists. `tick` is the time that its bound speaks of. An unknown class is ignored: a peer's mistake.
+    pub fn handle_roster(&mut self, entry: &RosterEntry, tick: WorldTime) {
+        let class = usize::from(entry.class.0);
+        if class >= self.classes.len() {
+            self.stats.stale += 1;
+            return;
+        }
+        self.handle_left(entry.object);
+        let fresh = Entry {
+            class,
+            belief: if entry.present { Belief::Unknown } else { Belief::Absent },
+            issue: entry.issue,
+            valid_from: WorldTime::MIN,
+            state: None,
+            ask: None,
+            due: None,
+            stage_frames: 1,
+            hidden_frames: 0,
+            released_at: None,
+            releasing: false,
+        };
+        self.entries.insert(entry.object, fresh);
+        if !entry.present || !self.tracking {
+            return;
+        }
+        match entry.bound {
+            // Tested at the next frame.
+            Some(bound) => self.hold(entry.object, bound.tbv(tick)),
+            None => self.ask(entry.object, Want::Bound, Reason::Unknown),
+        }
+        self.debug_check();
+    }
+
+    /// An object exists no more.
+    pub fn handle_left(&mut self, object: ObjectId) {
+        self.leave_t_and_q(object);
+        self.visible.remove(&object);
+        self.asked.remove(&object);
+        self.entries.remove(&object);
+    }
+
+    /// Where an object was at `tick`.
+    pub fn handle_state(
+        &mut self,
+        object: ObjectId,
+        position: Position,
+        orientation: Orientation,
+        tick: WorldTime,
+        now: LocalTime,
+    ) {
+        let Some(entry) = self.entries.get_mut(&object) else {
+            self.stats.stale += 1;
+            return;
+        };
+        let is_old = tick < entry.valid_from || entry.state.is_some_and(|state| state.tick > tick);
+        if is_old || matches!(entry.belief, Belief::Absent) {
+            self.stats.stale += 1;
+            return;
+        }
+        // Both ends check the promise of containment (STYLE, "Check a promise at both ends").
+        if let Belief::Hidden(tbv) = entry.belief
+            && tbv.holds_at(tick)
+            && !tbv.contains(position.metres(), tick)
+        {
+            self.stats.broken_bounds += 1;
+        }
+        entry.state = Some(State { position, orientation, tick });
+        let awaited = entry.ask.is_some_and(|ask| ask.want == Want::State);
+        let was_visible = matches!(entry.belief, Belief::Visible);
+        if was_visible {
+            return;
+        }
+        if awaited || !self.tracking {
+            entry.belief = Belief::Visible;
+            entry.ask = None;
+            entry.hidden_frames = 0;
+            entry.released_at = None;
+            entry.releasing = false;
+            self.stats.revealed += 1;
+            self.asked.remove(&object);
+            self.leave_t_and_q(object);
+            self.visible.insert(object);
+        } else {
+            // Declined already: say so again if that may have got lost. What it tells is not wasted on the bound.
+            self.stats.unwanted += 1;
+            if entry.released_at.is_none_or(|at| now.since(at) > self.timeout) {
+                entry.released_at = Some(now);
+                self.out.push_back(ClientRecord::Release { object, want_bound: false });
+            }
+            if let Belief::Hidden(tbv) = entry.belief
+                && entry.ask.is_none()
+                && tick > tbv.issued
+            {
+                let local = self.local_tbv(object);
+                if let Some(local) = local {
+                    self.hold(object, local);
+                }
+            }
+        }
+        self.debug_check();
+    }
+
+    /// Where an object may be. If `occlusion` of the newest frame is given, what the bound says is acted on at once
+    /// instead of at the next frame.
+    pub fn handle_bound(&mut self, object: ObjectId, tbv: Tbv, occlusion: Option<&dyn Occlusion>) {
+        let Some(entry) = self.entries.get_mut(&object) else {
+            self.stats.stale += 1;
+            return;
+        };
+        let awaited = entry.releasing || entry.ask.is_some_and(|ask| ask.want == Want::Bound);
+        let is_void =
+            tbv.issue < entry.issue || tbv.issued < entry.valid_from || matches!(entry.belief, Belief::Absent);
+        let is_older = matches!(entry.belief, Belief::Hidden(held) if held.issued > tbv.issued);
+        if is_void || is_older || !awaited {
+            self.stats.stale += 1;
+            return;
+        }
+        entry.issue = tbv.issue;
+        if entry.ask.is_some_and(|ask| ask.want == Want::Bound) {
+            entry.ask = None;
+            self.asked.remove(&object);
+        }
+        if entry.releasing {
+            entry.releasing = false;
+            self.visible.remove(&object);
+        }
+        self.hold(object, tbv);
+        if let Some(occlusion) = occlusion {
+            self.settle(object, occlusion);
+        }
+        self.debug_check();
+    }
+
+    /// An object broke its bounds at `at`: whatever was known from before is void.
+    pub fn handle_violation(&mut self, object: ObjectId, issue: Issue, at: WorldTime, present: bool) {
+        self.out.push_back(ClientRecord::ViolationAck { object, issue });
+        let Some(entry) = self.entries.get_mut(&object) else { return };
+        if issue <= entry.issue {
+            return;
+        }
+        self.stats.violated += 1;
+        entry.issue = issue;
+        entry.valid_from = at;
+        if !present {
+            entry.belief = Belief::Absent;
+            entry.ask = None;
+            entry.releasing = false;
+            entry.state = None;
+            self.asked.remove(&object);
+            self.visible.remove(&object);
+            self.leave_t_and_q(object);
+        } else if !(matches!(entry.belief, Belief::Visible) && entry.state.is_some_and(|state| state.tick >= at)) {
+            let is_told = matches!(entry.belief, Belief::Visible);
+            entry.belief = if is_told { Belief::Visible } else { Belief::Unknown };
+            self.leave_t_and_q(object);
+            // A visible object's new state is on its way; it is drawn where it was until then.
+            if !is_told && self.tracking {
+                let want = if self.is_staged() { Want::Bound } else { Want::State };
+                self.ask(object, want, Reason::Violated);
+            }
+        }
+        self.debug_check();
+    }
+
+    /// The server no longer tells of an object.
+    pub fn handle_hidden(&mut self, object: ObjectId, tick: WorldTime) {
+        if self.tracking {
+            return;
+        }
+        if let Some(entry) = self.entries.get_mut(&object)
+            && entry.state.is_none_or(|state| state.tick <= tick)
+        {
+            entry.belief = Belief::Unknown;
+            self.visible.remove(&object);
+        }
+    }
+
+    /// One frame of §3.3: `latest` is the latest time that the server may have, `occlusion` what hides things from the
+    /// eye region of this frame.
+    pub fn frame(&mut self, latest: WorldTime, occlusion: &dyn Occlusion, now: LocalTime) {
+        self.stats.frames += 1;
+        self.latest = self.latest.max(latest);
+        if !self.tracking {
+            // Every object every frame: the baseline without bounds. What is hidden is known all the same.
+            self.test_visible(occlusion);
+            return;
+        }
+        // Step 1: stages and bounds whose time is up, as Q tells.
+        while let Some(&(due, object)) = self.queue.first() {
+            if due > self.latest {
+                break;
+            }
+            self.queue.pop_first();
+            if let Some(entry) = self.entries.get_mut(&object) {
+                entry.due = None;
+                entry.stage_frames = (entry.stage_frames * 2).min(self.config.stage_frames_max);
+            }
+            self.stats.stages += 1;
+            self.settle(object, occlusion);
+        }
+        // Step 3: what of T can be seen. (Step 2, the update of visible objects, is the server's push.)
+        let mut exposed = std::mem::take(&mut self.exposed);
+        exposed.clear();
+        self.stats.work += self.index.exposed(occlusion, &mut exposed) as u64;
+        for &key in &exposed {
+            let object = ObjectId(key);
+            if let Some(entry) = self.entries.get_mut(&object) {
+                entry.stage_frames = (entry.stage_frames / 2).max(1);
+            }
+            self.settle(object, occlusion);
+        }
+        self.exposed = exposed;
+        // Step 4: what of V can't be seen any more.
+        self.let_go(occlusion, now);
+        self.debug_check();
+    }
+
+    /// Tests each object of V where it may be by now.
+    fn test_visible(&mut self, occlusion: &dyn Occlusion) {
+        // A change would have been pushed: what was not heard of for longer than this has not moved.
+        let silence = self.config.frame.as_secs_f64() * 2.0 + self.round_trip.unwrap_or_default().as_secs_f64();
+        self.stats.work += self.visible.len() as u64;
+        for object in &self.visible {
+            let Some(entry) = self.entries.get_mut(object) else { continue };
+            let Some(state) = entry.state else { continue };
+            let class = &self.classes[entry.class];
+            let age = self.latest.seconds_since(state.tick).clamp(0.0, silence);
+            let aabb = extent_box(class, state.position.metres(), class.motion.reach(age));
+            entry.hidden_frames = if occlusion.hides(&Bound::Box(aabb)) { entry.hidden_frames + 1 } else { 0 };
+        }
+    }
+
+    /// Declines updates of what has been hidden for long enough, and lets a bound stand for it.
+    fn let_go(&mut self, occlusion: &dyn Occlusion, now: LocalTime) {
+        self.test_visible(occlusion);
+        let linger = self.config.linger_frames.max(1);
+        let gone: Vec<ObjectId> = self
+            .visible
+            .iter()
+            .filter(|object| {
+                self.entries.get(object).is_some_and(|entry| entry.releasing || entry.hidden_frames >= linger)
+            })
+            .copied()
+            .collect();
+        for object in gone {
+            let local = self.local_tbv(object);
+            let Some(entry) = self.entries.get_mut(&object) else { continue };
+            if entry.releasing {
+                // The server has stopped telling: whether or not it is in sight again, the bound must come.
+                if entry.released_at.is_some_and(|at| now.since(at) > self.timeout) {
+                    entry.released_at = Some(now);
+                    self.stats.resent += 1;
+                    self.out.push_back(ClientRecord::Release { object, want_bound: true });
+                }
+                continue;
+            }
+            self.stats.released += 1;
+            entry.released_at = Some(now);
+            entry.releasing = local.is_none();
+            self.out.push_back(ClientRecord::Release { object, want_bound: local.is_none() });
+            if let Some(local) = local {
+                self.hold(object, local);
+                self.settle(object, occlusion);
+            }
+        }
+    }
+
+    /// A bound made of the last exact state, which costs no message; `None` if that is so old that a fresh bound from
+    /// the server would be tighter.
+    fn local_tbv(&self, object: ObjectId) -> Option<Tbv> {
+        let entry = self.entries.get(&object)?;
+        let state = entry.state?;
+        if state.tick < entry.valid_from {
+            return None;
+        }
+        let motion = self.classes[entry.class].motion;
+        let age = self.latest.seconds_since(state.tick).max(0.0);
+        if motion.speed_max * age > 0.5 * self.blur.max(0.1) {
+            return None;
+        }
+        Some(Tbv {
+            centre: state.position,
+            radius: motion.slack,
+            speed: motion.speed_max,
+            issued: state.tick,
+            expires: WorldTime::MAX,
+            issue: entry.issue,
+        })
+    }
+
+    /// Step 4 c–e: from now on `tbv` stands for the object. It is due in Q at once, so that the next frame (or
+    /// [`Tracker::settle`]) finds its stage.
+    fn hold(&mut self, object: ObjectId, tbv: Tbv) {
+        self.leave_t_and_q(object);
+        self.visible.remove(&object);
+        let Some(entry) = self.entries.get_mut(&object) else { return };
+        entry.belief = Belief::Hidden(tbv);
+        entry.stage_frames = entry.stage_frames.clamp(1, 8);
+        entry.due = Some(WorldTime::MIN);
+        self.queue.insert((WorldTime::MIN, object));
+    }
+
+    /// Finds the longest stage for which a held bound is hidden and puts it into T and Q so; asks if it is exposed
+    /// even as it is now, or has expired.
+    fn settle(&mut self, object: ObjectId, occlusion: &dyn Occlusion) {
+        self.leave_t_and_q(object);
+        let Some(entry) = self.entries.get_mut(&object) else { return };
+        let Belief::Hidden(tbv) = entry.belief else { return };
+        if entry.ask.is_some() {
+            return;
+        }
+        let latest = self.latest;
+        let class = &self.classes[entry.class];
+        let frame_micros = self.config.frame.as_micros() as i64;
+        let box_at = |time: WorldTime| extent_box(class, tbv.centre.metres(), tbv.radius_at(time));
+        let fixed_expiry = match self.config.growth {
+            Growth::AtClient => tbv.expires,
+            Growth::FixedPeriod(period) => tbv.expires.min(tbv.issued + period),
+        };
+        if latest >= fixed_expiry {
+            self.stats.expired += 1;
+            let want = if self.is_staged() { Want::Bound } else { Want::State };
+            return self.ask(object, want, Reason::Expired);
+        }
+        let mut tested = 0;
+        let mut hidden = |aabb: Aabb| {
+            tested += 1;
+            occlusion.hides(&Bound::Box(aabb))
+        };
+        if let Growth::FixedPeriod(_) = self.config.growth {
+            // The paper's way: the bound for the whole period is hidden, or it is exposed.
+            let grown = box_at(fixed_expiry);
+            if hidden(grown) || hidden(box_at(latest)) {
+                let is_whole = hidden(grown);
+                let aabb = if is_whole { grown } else { box_at(latest.offset_micros(frame_micros)) };
+                let due = if is_whole { fixed_expiry } else { latest.offset_micros(1) };
+                self.stats.work += tested;
+                return self.keep(object, aabb, due);
+            }
+            self.stats.work += tested;
+            return self.expose(object, tbv);
+        }
+        if !hidden(box_at(latest)) {
+            self.stats.work += tested;
+            return self.expose(object, tbv);
+        }
+        let mut frames = entry.stage_frames;
+        loop {
+            let end = latest.offset_micros(frame_micros.saturating_mul(i64::from(frames))).min(fixed_expiry);
+            let grown = box_at(end);
+            if hidden(grown) {
+                entry.stage_frames = frames;
+                self.stats.work += tested;
+                return self.keep(object, grown, end);
+            }
+            if frames == 1 {
+                break;
+            }
+            frames /= 2;
+        }
+        // Hidden now, but perhaps not by the next frame: look again then.
+        entry.stage_frames = 1;
+        self.stats.work += tested;
+        let now_box = box_at(latest);
+        self.keep(object, now_box, latest.offset_micros(1));
+    }
+
+    fn keep(&mut self, object: ObjectId, aabb: Aabb, due: WorldTime) {
+        self.index.insert(object.0, Bound::Box(aabb));
+        self.queue.insert((due, object));
+        if let Some(entry) = self.entries.get_mut(&object) {
+            entry.due = Some(due);
+        }
+    }
+
+    /// A bound has become visible as it is now.
+    fn expose(&mut self, object: ObjectId, tbv: Tbv) {
+        if self.config.sabotage == Some(Sabotage::DropExposures) {
+            self.keep(object, Aabb::around(DVec3::splat(1e9), DVec3::ZERO), WorldTime::MAX);
+            return;
+        }
+        self.stats.exposed += 1;
+        // A fresh bound helps only if it is a good deal tighter than this one has become.
+        let entry = &self.entries[&object];
+        let fresh = self.blur + self.classes[entry.class].motion.slack;
+        let gains = tbv.radius_at(self.latest) > 1.25 * fresh + 0.05;
+        let want = if self.is_staged() && gains { Want::Bound } else { Want::State };
+        self.ask(object, want, Reason::Exposed);
+    }
+
+    /// Whether to ask for a bound before a state: only if both round trips fit in one frame, so that the promise's
+    /// bound on lateness holds.
+    fn is_staged(&self) -> bool {
+        // A quarter of the frame each, since the round trip is smoothed and the answer needs time at both ends.
+        self.config.staged && self.round_trip.is_some_and(|round_trip| round_trip * 4 < self.config.frame)
+    }
+
+    fn ask(&mut self, object: ObjectId, want: Want, reason: Reason) {
+        self.leave_t_and_q(object);
+        let late = self.config.sabotage == Some(Sabotage::LateOneTick);
+        if let Some(entry) = self.entries.get_mut(&object) {
+            let not_before = late.then_some(self.stats.frames + 1);
+            entry.ask = Some(Ask { want, reason, sent_at: None, not_before });
+            self.asked.insert(object);
+        }
+    }
+
+    fn leave_t_and_q(&mut self, object: ObjectId) {
+        self.index.remove(object.0);
+        if let Some(entry) = self.entries.get_mut(&object)
+            && let Some(due) = entry.due.take()
+        {
+            self.queue.remove(&(due, object));
+        }
+    }
+
+    /// The next thing to say. Requests are repeated until answered.
+    pub fn poll_record(&mut self, now: LocalTime) -> Option<ClientRecord> {
+        if let Some(record) = self.out.pop_front() {
+            return Some(record);
+        }
+        let frames = self.stats.frames;
+        for &object in &self.asked {
+            let Some(ask) = self.entries.get_mut(&object).and_then(|entry| entry.ask.as_mut()) else { continue };
+            if ask.not_before.is_some_and(|frame| frames < frame) {
+                continue;
+            }
+            let is_due = ask.sent_at.is_none_or(|at| now.since(at) > self.timeout);
+            if is_due {
+                self.stats.resent += u64::from(ask.sent_at.is_some());
+                ask.sent_at = Some(now);
+                return Some(ClientRecord::Request { object, want: ask.want, reason: ask.reason });
+            }
+        }
+        None
+    }
+
+    /// What the client knows the place of, by id: V. The second part says whether it is drawn in the newest frame, that
+    /// is, not hidden in it.
+    pub fn known(&self) -> impl Iterator<Item = (Drawn, bool)> + '_ {
+        self.visible.iter().filter_map(|&object| {
+            let entry = self.entries.get(&object)?;
+            let state = entry.state?;
+            let drawn = Drawn { object, position: state.position, orientation: state.orientation, tick: state.tick };
+            Some((drawn, entry.hidden_frames == 0))
+        })
+    }
+
+    /// What the client shows in the newest frame, by id.
+    pub fn drawn(&self) -> impl Iterator<Item = Drawn> + '_ {
+        self.known().filter(|&(_, is_drawn)| is_drawn).map(|(drawn, _)| drawn)
+    }
+
+    /// Whether anything at all is known of where `object` is (a bound, or a state).
+    pub fn knows(&self, object: ObjectId) -> bool {
+        self.entries.get(&object).is_some_and(|entry| !matches!(entry.belief, Belief::Unknown))
+    }
+
+    /// Number of objects in V, held hidden, and awaiting an answer.
+    pub fn counts(&self) -> (usize, usize, usize) {
+        (self.visible.len(), self.index.len(), self.asked.len())
+    }
+
+    /// Counters since the start.
+    pub fn stats(&self) -> &TrackerStats {
+        &self.stats
+    }
+
+    /// T, D, Q and V agree. Called after each mutation in debug builds.
+    fn debug_check(&self) {
+        if !cfg!(debug_assertions) {
+            return;
+        }
+        let mut in_queue = 0;
+        for (object, entry) in &self.entries {
+            assert_eq!(self.asked.contains(object), entry.ask.is_some(), "{object}: asked set and entry disagree");
+            assert_eq!(
+                self.visible.contains(object),
+                matches!(entry.belief, Belief::Visible),
+                "{object}: V and entry disagree"
+            );
+            if let Some(due) = entry.due {
+                in_queue += 1;
+                assert!(self.queue.contains(&(due, *object)), "{object}: not in Q");
+                assert!(matches!(entry.belief, Belief::Hidden(_)), "{object}: in Q but not hidden");
+                assert!(entry.ask.is_none(), "{object}: in Q though asked for");
+            } else if matches!(entry.belief, Belief::Hidden(_) | Belief::Unknown) && self.tracking {
+                assert!(entry.ask.is_some(), "{object}: forgotten: neither in Q nor asked for");
+            }
+        }
+        assert_eq!(self.queue.len(), in_queue, "Q holds what no entry does");
+        assert!(self.index.len() <= self.queue.len(), "T holds what Q does not");
+    }
+}
+
+/// The box of an object whose reference point is within `reach` of `centre`. One part in 10⁹ and a micrometre larger,
+/// which covers the rounding of coordinates up to the edge of the world.
+fn extent_box(class: &Class, centre: DVec3, reach: f64) -> Aabb {
+    let reach = reach * (1.0 + 1e-9) + 1e-6;
+    let side = class.extent.radius + reach;
+    Aabb::new(
+        centre + DVec3::new(-side, class.extent.bottom - reach, -side),
+        centre + DVec3::new(side, class.extent.top + reach, side),
+    )
+}

@@ -1,0 +1,157 @@
+//! Settings of a world, and what can be wrong with one.
+
+use std::time::Duration;
+
+use eyeline_protocol::OutOfRange;
+use glam::DVec3;
+
+use crate::path::PathError;
+
+/// Settings of a [`super::World`].
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct WorldConfig {
+    /// World time between commits; default 50 ms. Shorter costs CPU and messages in proportion.
+    pub tick: Duration,
+    /// Least radius within which a hidden object's place is kept uncertain, in metres; default 1. Greater hides more
+    /// and costs messages near walls.
+    pub blur: f64,
+    /// Offset of the grid that hides places; secret in production, fixed under test.
+    pub grid_seed: u64,
+    /// For how long a bound holds at most; default 60 s. The client decides how much of it to use.
+    pub validity_max: Duration,
+    /// How late or early a pose may be; default 100 ms. Each bound of an avatar is larger by what it can walk in it.
+    pub jitter: Duration,
+    /// A client that has not been heard of for so long gets no more updates until it is; default 3 s.
+    pub lease: Duration,
+    /// Most avatars; default 4096.
+    pub avatars_max: usize,
+    /// Where avatars start if the world names no place, relative to the anchor.
+    pub default_spawn: DVec3,
+}
+
+impl Default for WorldConfig {
+    fn default() -> WorldConfig {
+        WorldConfig {
+            tick: Duration::from_millis(50),
+            blur: 1.0,
+            grid_seed: 0,
+            validity_max: Duration::from_secs(60),
+            jitter: Duration::from_millis(100),
+            lease: Duration::from_secs(3),
+            avatars_max: 4096,
+            default_spawn: DVec3::ZERO,
+        }
+    }
+}
+
+impl WorldConfig {
+    /// Sets the tick.
+    pub fn with_tick(self, tick: Duration) -> WorldConfig {
+        WorldConfig { tick, ..self }
+    }
+
+    /// Sets the blur, metres.
+    pub fn with_blur(self, blur: f64) -> WorldConfig {
+        WorldConfig { blur, ..self }
+    }
+
+    /// Sets the secret of the grid that hides places.
+    pub fn with_grid_seed(self, grid_seed: u64) -> WorldConfig {
+        WorldConfig { grid_seed, ..self }
+    }
+
+    /// Sets where avatars start if the world names no place.
+    pub fn with_default_spawn(self, default_spawn: DVec3) -> WorldConfig {
+        WorldConfig { default_spawn, ..self }
+    }
+
+    /// Sets the most avatars.
+    pub fn with_avatars_max(self, avatars_max: usize) -> WorldConfig {
+        WorldConfig { avatars_max, ..self }
+    }
+
+    pub(super) fn check(&self) -> Result<(), WorldError> {
+        if !(Duration::from_millis(1)..=Duration::from_secs(10)).contains(&self.tick) {
+            return Err(WorldError::Tick { tick: self.tick });
+        }
+        if !(0.0..=1000.0).contains(&self.blur) {
+            return Err(WorldError::Blur { blur: self.blur });
+        }
+        Ok(())
+    }
+}
+
+/// Why there can be no such world.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum WorldError {
+    /// The tick is out of range.
+    #[error("tick of {tick:?} is not between 1 ms and 10 s; 50 ms is usual")]
+    Tick {
+        /// What was given.
+        tick: Duration,
+    },
+    /// The blur is out of range.
+    #[error("blur of {blur} m is not between 0 and 1000 m; 1 m is usual")]
+    Blur {
+        /// What was given.
+        blur: f64,
+    },
+    /// An object of a class that is not there.
+    #[error(
+        "object '{object}' is of class '{class}', which the world file does not define; add a [[class]] of that name"
+    )]
+    UnknownClass {
+        /// The object.
+        object: String,
+        /// Its class.
+        class: String,
+    },
+    /// Two classes of one name.
+    #[error("class '{class}' is defined twice ('avatar' is built in); rename one")]
+    DuplicateClass {
+        /// The name.
+        class: String,
+    },
+    /// A class with an impossible value.
+    #[error("class '{class}' has {what} = {value}, which is not a size or speed (0 to 1e6, top above bottom)")]
+    ClassValue {
+        /// The class.
+        class: String,
+        /// The key.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// More classes than the wire can name.
+    #[error("{classes} classes are more than 65535")]
+    TooManyClasses {
+        /// How many.
+        classes: usize,
+    },
+    /// More objects than the wire can name.
+    #[error("{objects} objects are more than 16777215")]
+    TooManyObjects {
+        /// How many.
+        objects: usize,
+    },
+    /// An object that is too far away.
+    #[error("object '{object}': {error}")]
+    Position {
+        /// The object.
+        object: String,
+        /// What is wrong.
+        error: OutOfRange,
+    },
+    /// A spawn point that is no place.
+    #[error("spawn {index} at {position:?} is not a place within 2,000 km")]
+    Spawn {
+        /// Which, from 0.
+        index: usize,
+        /// Where.
+        position: [f64; 3],
+    },
+    /// A path that is none, or breaks its class's bound.
+    #[error(transparent)]
+    Path(#[from] PathError),
+}

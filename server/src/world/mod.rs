@@ -1,0 +1,650 @@
+//! Who is where, and what each client is told: the heart of the server, a pure state machine.
+//!
+//! A [`World`] does no I/O and reads no clock. Feed it what arrived through `handle_*`, call [`World::tick`] when
+//! [`World::poll_timeout`] says so, and drain [`World::poll_transmit`]. The same code runs over real QUIC and in virtual
+//! time.
+//!
+//! Time advances in ticks. What clients and paths want is *committed* once a tick, snapped to the wire's grid, and held
+//! to each object's motion bound; every record that leaves speaks of the newest committed state. Requests are answered
+//! on arrival.
+
+mod config;
+mod object;
+mod session;
+mod stats;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+use eyeline_protocol::{
+    Class, ClassId, ClientControl, ClientId, ClientRecord, Extent, LocalTime, MotionBound, ObjectId, Orientation,
+    Position, QUANTUM_METRES, Refusal, Role, RosterEntry, ServerControl, VERSION, Want, Welcome, WireTbv, WorldInfo,
+    WorldTime, codec,
+};
+use glam::DVec3;
+
+pub use config::{WorldConfig, WorldError};
+pub use object::Object;
+pub(crate) use object::present;
+use session::{Phase, Session};
+pub use stats::{MessageCounts, WorldStats};
+
+use crate::path::paths_of;
+use crate::policy::{Policy, Watcher};
+use crate::spec::WorldSpec;
+
+/// A connection, as the driver and the world name it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct SessionId(pub u32);
+
+/// Something to send, or to do to a connection.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Transmit {
+    /// Bytes for the control stream, prefix included.
+    Control(Vec<u8>),
+    /// An unreliable datagram.
+    Datagram(Vec<u8>),
+    /// The model's bytes are wanted, on a stream of their own.
+    WorldBytes,
+    /// End the connection once what came before is sent. The reason is for people.
+    Close(String),
+}
+
+/// The class of avatars.
+pub const AVATAR_CLASS: ClassId = ClassId(0);
+
+/// The shared world.
+pub struct World {
+    config: WorldConfig,
+    info: WorldInfo,
+    anchor: DVec3,
+    spec: WorldSpec,
+    classes: Vec<Class>,
+    policy: Box<dyn Policy>,
+    /// Index = object id. Ids of avatars that left are free, and used again with a later issue number.
+    objects: Vec<Object>,
+    free: Vec<ObjectId>,
+    spawned: usize,
+    sessions: BTreeMap<SessionId, Session>,
+    next_session: u32,
+    /// Slots of the holders' bit sets, reused.
+    free_slots: Vec<usize>,
+    slots: usize,
+    out: VecDeque<(SessionId, Transmit)>,
+    /// Sessions whose datagrams are to be built.
+    awake: VecDeque<SessionId>,
+    tick: WorldTime,
+    next_tick: WorldTime,
+    stats: WorldStats,
+    /// Scratch of [`World::tick`].
+    told: Vec<ObjectId>,
+}
+
+impl World {
+    /// A world whose first tick is at `now`.
+    ///
+    /// # Errors
+    /// If the specification contradicts itself; names the entry, the value and the remedy.
+    pub fn new(
+        config: WorldConfig,
+        spec: WorldSpec,
+        info: WorldInfo,
+        anchor: DVec3,
+        policy: Box<dyn Policy>,
+        now: WorldTime,
+    ) -> Result<World, WorldError> {
+        config.check()?;
+        let classes = classes(&config, &spec)?;
+        let mut objects = Vec::with_capacity(spec.objects.len());
+        let paths = paths_of(&spec)?;
+        for ((index, entry), path) in spec.objects.iter().enumerate().zip(paths) {
+            let class = classes
+                .iter()
+                .position(|class| class.name == entry.class)
+                .ok_or_else(|| WorldError::UnknownClass { object: entry.name.clone(), class: entry.class.clone() })?;
+            let out_of_range = |error| WorldError::Position { object: entry.name.clone(), error };
+            let position = Position::from_metres(DVec3::from_array(entry.position) - anchor).map_err(out_of_range)?;
+            let id = ObjectId(u32::try_from(index).unwrap_or(u32::MAX));
+            if id > ObjectId::MAX {
+                return Err(WorldError::TooManyObjects { objects: spec.objects.len() });
+            }
+            let mut object = Object::new(entry.name.clone(), ClassId(class as u16), position, now);
+            object.node = entry.node.clone().unwrap_or_else(|| entry.name.clone());
+            object.orientation = Orientation::from_yaw(entry.heading);
+            object.path = path;
+            objects.push(object);
+        }
+        let mut world = World {
+            config,
+            info,
+            anchor,
+            spec,
+            classes,
+            policy,
+            objects,
+            free: Vec::new(),
+            spawned: 0,
+            sessions: BTreeMap::new(),
+            next_session: 1,
+            free_slots: Vec::new(),
+            slots: 0,
+            out: VecDeque::new(),
+            awake: VecDeque::new(),
+            tick: now,
+            next_tick: now,
+            stats: WorldStats::default(),
+            told: Vec::new(),
+        };
+        world.tick(now);
+        Ok(world)
+    }
+
+    /// A new connection. Until its hello it costs one small entry.
+    pub fn connect(&mut self, now: WorldTime) -> SessionId {
+        let id = SessionId(self.next_session);
+        self.next_session = self.next_session.wrapping_add(1);
+        self.sessions.insert(id, Session::new(now));
+        id
+    }
+
+    /// The connection has gone. Its avatars leave the world.
+    pub fn disconnect(&mut self, id: SessionId) {
+        let Some(session) = self.sessions.remove(&id) else { return };
+        let Phase::Live { slot, .. } = session.phase else { return };
+        self.free_slots.push(slot);
+        for object in &mut self.objects {
+            object.holders.set(slot, false);
+        }
+        for &object in &session.avatars {
+            let entry = &mut self.objects[object.index()];
+            entry.present = false;
+            entry.alive = false;
+            entry.wanted = None;
+            self.free.push(object);
+        }
+        for other in self.sessions.values_mut() {
+            for object in &session.avatars {
+                other.forget(*object);
+            }
+        }
+        let left = codec::encode_control(&ServerControl::Left { objects: session.avatars.clone() });
+        self.announce(id, &left, session.avatars.len());
+    }
+
+    /// The greatest datagram that the path to this client carries, in bytes.
+    pub fn handle_datagram_limit(&mut self, id: SessionId, limit: usize) {
+        if let Some(session) = self.sessions.get_mut(&id) {
+            session.datagram_limit = limit;
+        }
+    }
+
+    /// One control message, without its length prefix. What makes no sense closes the connection.
+    pub fn handle_control(&mut self, id: SessionId, bytes: &[u8], now: WorldTime) {
+        let Some(session) = self.sessions.get(&id) else { return };
+        let live = matches!(session.phase, Phase::Live { .. });
+        match codec::decode_client_control(bytes) {
+            Err(error) => {
+                self.stats.rejected_control += 1;
+                self.refuse(id, Refusal::Protocol, &format!("control message: {error}"));
+            }
+            Ok(ClientControl::Hello { version, role, .. }) if !live => self.admit(id, version, role, now),
+            Ok(ClientControl::WorldWanted) if live => self.out.push_back((id, Transmit::WorldBytes)),
+            Ok(ClientControl::Place { object, position, present }) if live => self.place(id, object, position, present),
+            Ok(ClientControl::Goodbye) => {
+                self.out.push_back((id, Transmit::Close("goodbye".into())));
+            }
+            Ok(_) => {
+                self.stats.rejected_control += 1;
+                let reason = if live { "hello was said already" } else { "the first message must be hello" };
+                self.refuse(id, Refusal::Protocol, reason);
+            }
+        }
+    }
+
+    /// Tells everybody that the server ends, and why.
+    pub fn shut_down(&mut self, reason: &str) {
+        let ids: Vec<SessionId> = self.sessions.keys().copied().collect();
+        for id in ids {
+            self.refuse(id, Refusal::ShuttingDown, reason);
+        }
+    }
+
+    fn refuse(&mut self, id: SessionId, refusal: Refusal, reason: &str) {
+        let message = ServerControl::Refused { refusal, reason: reason.to_owned() };
+        self.out.push_back((id, Transmit::Control(codec::encode_control(&message))));
+        self.out.push_back((id, Transmit::Close(reason.to_owned())));
+    }
+
+    fn admit(&mut self, id: SessionId, version: u16, role: Role, now: WorldTime) {
+        if version != VERSION {
+            self.stats.refused += 1;
+            let reason = format!("protocol version {version} is not the server's {VERSION}: update the older side");
+            return self.refuse(id, Refusal::Version, &reason);
+        }
+        let wanted = match role {
+            Role::Avatar => 1,
+            Role::Actor { avatars } => usize::from(avatars),
+        };
+        let alive = self.avatars();
+        if alive + wanted > self.config.avatars_max {
+            self.stats.refused += 1;
+            let limit = self.config.avatars_max;
+            let reason = format!("{wanted} more avatars are too many: {alive} of {limit} are taken; try again later");
+            return self.refuse(id, Refusal::Full, &reason);
+        }
+        let slot = self.free_slots.pop().unwrap_or_else(|| {
+            self.slots += 1;
+            self.slots - 1
+        });
+        let present = role == Role::Avatar;
+        let avatars: Vec<ObjectId> = (0..wanted).map(|_| self.spawn_avatar(id, present)).collect();
+        let welcome = Welcome {
+            version: VERSION,
+            client: ClientId(id.0),
+            avatars: avatars
+                .iter()
+                .map(|&avatar| {
+                    let object = &self.objects[avatar.index()];
+                    (avatar, object.position, object.orientation)
+                })
+                .collect(),
+            anchor: self.anchor.to_array(),
+            tick_micros: self.config.tick.as_micros() as u32,
+            policy: self.policy.name().to_owned(),
+            tracking: self.policy.tracking(),
+            blur: self.config.blur,
+            world: self.info.clone(),
+            classes: self.classes.clone(),
+        };
+        self.say(id, &ServerControl::Welcome(Box::new(welcome)));
+        // The newcomer learns of everything but its own, everybody else of the newcomer's avatars.
+        if role == Role::Avatar {
+            let others: Vec<ObjectId> = (0..self.objects.len() as u32)
+                .map(ObjectId)
+                .filter(|id| self.objects[id.index()].alive && !avatars.contains(id))
+                .collect();
+            for piece in others.chunks(ServerControl::ROSTER_MAX) {
+                let message = self.roster(piece, Some(slot));
+                self.stats.out.roster += piece.len() as u64;
+                self.say(id, &message);
+            }
+        }
+        for piece in avatars.chunks(ServerControl::ROSTER_MAX) {
+            // No bounds for the others: the newcomer has just appeared, which nobody could have waited for.
+            let message = codec::encode_control(&self.roster(piece, None));
+            self.announce(id, &message, piece.len());
+        }
+        if let Some(session) = self.sessions.get_mut(&id) {
+            session.phase = Phase::Live { slot, watches: role == Role::Avatar };
+            session.avatars = avatars;
+            session.heard_at = now;
+        }
+        self.stats.admitted += 1;
+    }
+
+    fn say(&mut self, id: SessionId, message: &ServerControl) {
+        self.out.push_back((id, Transmit::Control(codec::encode_control(message))));
+    }
+
+    /// Sends a control message about `objects` objects to every other watching client.
+    fn announce(&mut self, except: SessionId, message: &[u8], objects: usize) {
+        for (&id, session) in &self.sessions {
+            if id != except && matches!(session.phase, Phase::Live { watches: true, .. }) {
+                self.out.push_back((id, Transmit::Control(message.to_vec())));
+                self.stats.out.roster += objects as u64;
+            }
+        }
+    }
+
+    /// Entries for these objects; for the holder in `slot` with bounds, if the policy lets clients track.
+    fn roster(&mut self, ids: &[ObjectId], slot: Option<usize>) -> ServerControl {
+        let mut entries = Vec::with_capacity(ids.len());
+        for &id in ids {
+            let bound = match slot {
+                Some(slot) if self.policy.tracking() => self.wire_bound(id).inspect(|_| {
+                    self.objects[id.index()].note_holder(slot);
+                }),
+                _ => None,
+            };
+            let object = &self.objects[id.index()];
+            entries.push(RosterEntry {
+                object: id,
+                class: object.class,
+                name: object.name.clone(),
+                node: object.node.clone(),
+                bound: bound.filter(|_| object.present),
+                issue: object.issue,
+                present: object.present,
+            });
+        }
+        ServerControl::Roster { tick: self.tick, entries }
+    }
+
+    fn spawn_avatar(&mut self, owner: SessionId, present: bool) -> ObjectId {
+        let spawns = &self.spec.spawns;
+        let (feet, heading) = match spawns.get(self.spawned % spawns.len().max(1)) {
+            Some(spawn) => (DVec3::from_array(spawn.position), spawn.heading),
+            None => (self.anchor + self.config.default_spawn, 0.0),
+        };
+        self.spawned += 1;
+        // The specification's spawns were checked when the world was made.
+        let position = Position::from_metres(feet - self.anchor).unwrap_or_default();
+        let id = self.free.pop().unwrap_or_else(|| {
+            self.objects.push(Object::new(String::new(), AVATAR_CLASS, position, self.tick));
+            ObjectId(self.objects.len() as u32 - 1)
+        });
+        let tick = self.tick;
+        let object = &mut self.objects[id.index()];
+        let issue = eyeline_protocol::Issue(object.issue.0 + 1);
+        *object = Object::new(format!("avatar {}", id.0), AVATAR_CLASS, position, tick);
+        object.orientation = Orientation::from_yaw(heading);
+        object.issue = issue;
+        object.owner = Some(owner);
+        object.present = present;
+        id
+    }
+
+    /// One datagram of a client. Requests in it are answered at once.
+    pub fn handle_datagram(&mut self, id: SessionId, bytes: &[u8], now: WorldTime) {
+        self.stats.datagrams_in += 1;
+        let Some(session) = self.sessions.get_mut(&id) else { return };
+        let Phase::Live { slot, watches } = session.phase else {
+            self.stats.rejected_datagrams += 1;
+            return;
+        };
+        let (header, records) = match codec::decode_client_datagram(bytes) {
+            Ok(datagram) => datagram,
+            Err(_) => {
+                self.stats.rejected_datagrams += 1;
+                return;
+            }
+        };
+        if !session.receive(&header.link, LocalTime::from_micros(now.micros())) {
+            self.stats.stale_datagrams += 1;
+            return;
+        }
+        session.heard_at = now;
+        session.owes_ack = true;
+        let seq = header.link.seq;
+        let mut answer = false;
+        for record in records {
+            self.stats.messages_in.count_client(&record);
+            match record {
+                ClientRecord::Pose { object, position, orientation } => {
+                    let entry = self.objects.get_mut(object.index());
+                    match entry.filter(|entry| entry.owner == Some(id)) {
+                        Some(entry) if seq >= entry.wanted_seq => {
+                            entry.wanted_seq = seq;
+                            entry.wanted = Some((position, orientation));
+                        }
+                        Some(_) => {} // overtaken by a newer one
+                        None => self.stats.forbidden += 1,
+                    }
+                }
+                ClientRecord::Request { object, want, .. } => {
+                    let known = self.objects.get(object.index()).is_some_and(|entry| entry.alive);
+                    if !known || !watches || !self.policy.tracking() || session.avatars.contains(&object) {
+                        self.stats.forbidden += 1;
+                        continue;
+                    }
+                    if session.is_overtaken(object, seq) {
+                        continue;
+                    }
+                    answer = true;
+                    match want {
+                        Want::State => session.subscribe(object, seq),
+                        Want::Bound => {
+                            session.unsubscribe(object, seq);
+                            session.bounds_due.insert(object);
+                        }
+                    }
+                }
+                ClientRecord::Release { object, want_bound } => {
+                    let known = self.objects.get(object.index()).is_some_and(|entry| entry.alive);
+                    if !known || !self.policy.tracking() || session.is_overtaken(object, seq) {
+                        continue;
+                    }
+                    session.unsubscribe(object, seq);
+                    if want_bound {
+                        answer = true;
+                        session.bounds_due.insert(object);
+                    }
+                }
+                ClientRecord::ViolationAck { object, issue } => {
+                    if session.violations.get(&object).is_some_and(|violation| violation.issue <= issue) {
+                        session.violations.remove(&object);
+                        if let Some(entry) = self.objects.get_mut(object.index()) {
+                            // Unless something has been told since, it holds nothing of the old issue any more.
+                            if !session.is_subscribed(object) && !entry.told_since_violation.contains(slot) {
+                                entry.holders.set(slot, false);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        if answer {
+            self.awake.push_back(id);
+        }
+    }
+
+    fn place(&mut self, id: SessionId, object: ObjectId, position: Position, present: bool) {
+        match self.objects.get_mut(object.index()).filter(|entry| entry.owner == Some(id)) {
+            Some(entry) => {
+                entry.placed = Some((position, present));
+                entry.wanted = None;
+            }
+            None => self.stats.forbidden += 1,
+        }
+    }
+
+    /// Puts an object of the world somewhere at the next tick, breaking its bound: for embedding applications.
+    /// Returns whether there is such an object.
+    pub fn teleport(&mut self, object: ObjectId, position: Position) -> bool {
+        match self.objects.get_mut(object.index()).filter(|entry| entry.alive) {
+            Some(entry) => {
+                entry.placed = Some((position, true));
+                true
+            }
+            None => false,
+        }
+    }
+
+    /// When [`World::tick`] is due.
+    pub fn poll_timeout(&self) -> WorldTime {
+        self.next_tick
+    }
+
+    /// Commits what was wanted since the last tick, and wakes every client that has to hear of it. A late call skips
+    /// the ticks that were missed.
+    pub fn tick(&mut self, now: WorldTime) {
+        if now < self.next_tick {
+            return;
+        }
+        let period = self.config.tick.as_micros() as i64;
+        let missed = now.micros().saturating_sub(self.next_tick.micros()) / period;
+        self.stats.ticks += 1;
+        self.stats.ticks_missed += missed as u64;
+        let tick = self.next_tick.offset_micros(missed.saturating_mul(period));
+        let elapsed = tick.since(self.tick).as_secs_f64();
+        self.tick = tick;
+        self.next_tick = tick.offset_micros(period);
+        for index in 0..self.objects.len() {
+            let object = &mut self.objects[index];
+            if !object.alive {
+                continue;
+            }
+            let motion = self.classes[usize::from(object.class.0)].motion;
+            let outcome = object.commit(tick, elapsed, motion, self.anchor);
+            self.stats.poses_clamped += u64::from(outcome.clamped);
+            if outcome.violated {
+                self.stats.violations += 1;
+                self.spread_violation(ObjectId(index as u32), outcome.entered_or_left);
+            }
+        }
+        self.retell();
+        let quiet = self.config.lease;
+        for (&id, session) in &mut self.sessions {
+            let Phase::Live { .. } = session.phase else { continue };
+            // A client that has not been heard of for a lease gets nothing until it is.
+            if now.since(session.heard_at) <= quiet {
+                session.mark_changes(&self.objects);
+                session.expire(LocalTime::from_micros(now.micros()), &self.objects);
+                if session.has_something() {
+                    self.awake.push_back(id);
+                }
+            }
+        }
+    }
+
+    /// Policies that decide at the server say whom each client is told about.
+    fn retell(&mut self) {
+        if self.policy.tracking() {
+            return;
+        }
+        let eye_height = self.classes[usize::from(AVATAR_CLASS.0)].eye_height;
+        self.policy.begin_tick(&self.objects);
+        for (&id, session) in &mut self.sessions {
+            let Phase::Live { watches: true, .. } = session.phase else { continue };
+            let Some(&avatar) = session.avatars.first() else { continue };
+            let feet = self.objects[avatar.index()].position.metres();
+            let watcher = Watcher { session: id, avatar, eye: feet + DVec3::Y * eye_height };
+            self.told.clear();
+            self.policy.interest(&self.objects, &watcher, &mut self.told);
+            session.tell_exactly(&self.told);
+        }
+    }
+
+    /// Announces that `object` broke its bound to everyone who may hold one; entering and leaving the world to all.
+    fn spread_violation(&mut self, object: ObjectId, to_all: bool) {
+        let entry = &mut self.objects[object.index()];
+        entry.told_since_violation.clear();
+        for session in self.sessions.values_mut() {
+            let Phase::Live { slot, watches: true } = session.phase else { continue };
+            if to_all || entry.holders.contains(slot) {
+                session.violate(object, entry.issue, self.tick);
+            }
+        }
+    }
+
+    /// A fresh bound of a present object, the same for all who ask within a tick.
+    fn wire_bound(&mut self, id: ObjectId) -> Option<WireTbv> {
+        let object = &mut self.objects[id.index()];
+        let motion = self.classes[usize::from(object.class.0)].motion;
+        let tbv = object.fresh_tbv(self.tick, motion, &self.config);
+        WireTbv::new(&tbv, self.tick)
+    }
+
+    /// The next thing to send. Datagrams are built here, late, from the newest state.
+    pub fn poll_transmit(&mut self, now: WorldTime) -> Option<(SessionId, Transmit)> {
+        if let Some(control) = self.out.pop_front() {
+            if matches!(control.1, Transmit::Control(_)) {
+                self.stats.control_out += 1;
+            }
+            return Some(control);
+        }
+        while let Some(&id) = self.awake.front() {
+            if let Some(datagram) = self.build_datagram(id, now) {
+                self.stats.datagrams_out += 1;
+                self.stats.datagram_bytes_out += datagram.len() as u64;
+                return Some((id, Transmit::Datagram(datagram)));
+            }
+            self.awake.pop_front();
+        }
+        None
+    }
+
+    fn build_datagram(&mut self, id: SessionId, now: WorldTime) -> Option<Vec<u8>> {
+        let session = self.sessions.get_mut(&id)?;
+        let Phase::Live { slot, .. } = session.phase else { return None };
+        let (tick, blur_config) = (self.tick, &self.config);
+        let classes = &self.classes;
+        session.build(now, tick, slot, &mut self.objects, &mut self.stats, |object| {
+            let motion = classes[usize::from(object.class.0)].motion;
+            WireTbv::new(&object.fresh_tbv(tick, motion, blur_config), tick)
+        })
+    }
+
+    /// World time of the newest committed state.
+    pub fn committed_at(&self) -> WorldTime {
+        self.tick
+    }
+
+    /// Every object, by id; those with `alive` false are free ids.
+    pub fn objects(&self) -> &[Object] {
+        &self.objects
+    }
+
+    /// Kinds of objects.
+    pub fn classes(&self) -> &[Class] {
+        &self.classes
+    }
+
+    /// Counters since the start.
+    pub fn stats(&self) -> &WorldStats {
+        &self.stats
+    }
+
+    /// World time between ticks.
+    pub fn tick_period(&self) -> Duration {
+        self.config.tick
+    }
+
+    /// Number of connections, admitted or not.
+    pub fn sessions(&self) -> usize {
+        self.sessions.len()
+    }
+
+    /// Number of avatars in the world, or waiting to enter it.
+    pub fn avatars(&self) -> usize {
+        self.objects.iter().filter(|object| object.alive && object.owner.is_some()).count()
+    }
+}
+
+fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldError> {
+    let avatar = spec.avatar;
+    let mut classes = vec![Class {
+        name: "avatar".into(),
+        motion: MotionBound {
+            speed_max: avatar.speed_max,
+            slack: avatar.speed_max * config.jitter.as_secs_f64() + QUANTUM_METRES,
+        },
+        extent: Extent { radius: avatar.radius, bottom: 0.0, top: avatar.height },
+        eye_height: avatar.eye_height,
+    }];
+    for class in &spec.classes {
+        if classes.iter().any(|known| known.name == class.name) {
+            return Err(WorldError::DuplicateClass { class: class.name.clone() });
+        }
+        classes.push(Class {
+            name: class.name.clone(),
+            // Paths are followed exactly; both ends of a step are snapped to the grid.
+            motion: MotionBound { speed_max: class.speed_max, slack: 2.0 * QUANTUM_METRES },
+            extent: Extent { radius: class.radius, bottom: class.bottom, top: class.top },
+            eye_height: 0.0,
+        });
+    }
+    for class in &classes {
+        let Class { name, motion, extent, eye_height } = class;
+        for (what, value, legal) in [
+            ("speed_max", motion.speed_max, (0.0..=1e6).contains(&motion.speed_max)),
+            ("radius", extent.radius, (0.0..=1e6).contains(&extent.radius)),
+            ("bottom", extent.bottom, (-1e6..=1e6).contains(&extent.bottom)),
+            ("top", extent.top, (extent.bottom..=1e6).contains(&extent.top)),
+            ("eye_height", *eye_height, (0.0..=1e6).contains(eye_height)),
+        ] {
+            if !legal {
+                return Err(WorldError::ClassValue { class: name.clone(), what, value });
+            }
+        }
+    }
+    for (index, spawn) in spec.spawns.iter().enumerate() {
+        if !spawn.position.iter().all(|x| x.abs() < eyeline_protocol::METRES_MAX) || !spawn.heading.is_finite() {
+            return Err(WorldError::Spawn { index, position: spawn.position });
+        }
+    }
+    if classes.len() > usize::from(u16::MAX) {
+        return Err(WorldError::TooManyClasses { classes: classes.len() });
+    }
+    Ok(classes)
+}
