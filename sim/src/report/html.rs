@@ -7,6 +7,7 @@ use std::fmt::Write;
 use serde_json::Value;
 
 use super::row::{number_text, printable, text_of};
+use super::table::broken;
 use super::{Column, Comparison, Plot, Report, Row, Run, Standing, error_against_run_time, pareto};
 
 /// The text as HTML, in elements and in quoted attributes alike.
@@ -83,7 +84,7 @@ impl Page {
         let mut facts = vec![report.run.started.clone()];
         facts.extend(report.run.machine.cpu.clone());
         facts.extend(report.run.seed.map(|seed| format!("seed {seed}")));
-        facts.extend(commit(&report.run));
+        facts.extend(commit(&report.run).map(|commit| format!("commit {commit}")));
         facts.retain(|fact| !fact.is_empty());
         self.line(&format!("<p class=\"facts\">{}</p>\n</header>", escape(&facts.join(" · "))));
     }
@@ -100,10 +101,11 @@ impl Page {
     fn rows(&mut self, report: &Report) {
         let keys = report.keys();
         let (count, s) = (report.rows().len(), if report.rows().len() == 1 { "" } else { "s" });
-        self.line(&format!("<h2>All rows</h2>\n<p class=\"hint\">{count} row{s}. A click on a header sorts.</p>"));
+        self.line(&format!("<h2>All rows</h2>\n<p class=\"hint\">{count} row{s}.</p>"));
         self.line("<div class=\"wide\"><table class=\"sortable\">\n<thead><tr>");
         for key in &keys {
-            self.header(key, &report.columns);
+            let numbers = report.rows().iter().any(|row| row.number(key).is_some());
+            self.header(key, &report.columns, numbers);
         }
         self.line("</tr></thead>\n<tbody>");
         for row in report.rows() {
@@ -116,14 +118,14 @@ impl Page {
         self.line("</tbody></table></div>");
     }
 
-    fn header(&mut self, key: &str, columns: &[Column]) {
+    fn header(&mut self, key: &str, columns: &[Column], numbers: bool) {
         let column = columns.iter().find(|column| column.key == key);
         let meaning = column.map_or(String::new(), |column| format!(" title=\"{}\"", escape(&column.meaning)));
         let unit = column.filter(|column| !column.unit.is_empty());
         let unit = unit.map_or(String::new(), |column| format!(" <small>{}</small>", escape(&column.unit)));
-        // A long name may break after an underscore.
-        let name = escape(key).replace('_', "_<wbr>");
-        self.line(&format!("<th scope=\"col\"{meaning}>{name}{unit}</th>"));
+        let name = broken(key).iter().map(|line| escape(line)).collect::<Vec<_>>().join("<br>");
+        let class = if numbers { " class=\"n\"" } else { "" };
+        self.line(&format!("<th scope=\"col\"{class}{meaning}>{name}{unit}</th>"));
     }
 
     fn cell(&mut self, key: &str, value: &Value) {
@@ -155,7 +157,11 @@ impl Page {
         }
         self.line(&format!("<p class=\"hint\">{hint}</p>"));
         self.line("<div class=\"wide\"><table class=\"sortable\">\n<thead><tr><th scope=\"col\">row</th>");
-        self.line(&format!("<th scope=\"col\">{}</th><th scope=\"col\">{}</th>", escape(&time), escape(&error)));
+        self.line(&format!(
+            "<th scope=\"col\" class=\"n\">{}</th><th scope=\"col\" class=\"n\">{}</th>",
+            escape(&time),
+            escape(&error)
+        ));
         self.line("<th scope=\"col\">standing</th></tr></thead>\n<tbody>");
         for i in order {
             let (class, verdict) = match standing[i] {
@@ -223,5 +229,5 @@ impl Page {
 fn commit(run: &Run) -> Option<String> {
     let commit = run.build.commit.as_ref()?;
     let changed = if run.build.modified == Some(true) { " with changes" } else { "" };
-    Some(format!("commit {}{changed}", commit.chars().take(12).collect::<String>()))
+    Some(format!("{}{changed}", commit.chars().take(12).collect::<String>()))
 }

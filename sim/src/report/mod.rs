@@ -159,7 +159,7 @@ impl Comparison {
         self
     }
 
-    /// Both columns, for [`pareto`].
+    /// Both columns, for [`pareto()`].
     fn goals(&self) -> [(&str, Goal); 2] {
         [(&self.time, Goal::Minimise), (&self.error, Goal::Minimise)]
     }

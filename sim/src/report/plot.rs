@@ -3,9 +3,12 @@
 //! A caller says what to show, never how: colours, ticks, marks and the place of labels are decided in one place,
 //! so that the plots of all verbs look and read alike.
 
+mod bars;
 mod draw;
 mod labels;
+mod points;
 mod scale;
+mod style;
 
 use serde::{Deserialize, Deserializer, Serialize};
 

@@ -8,6 +8,7 @@ for (const table of document.querySelectorAll("table.sortable")) {
   };
   const order = (a, b) =>
     typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b), "en", { numeric: true });
+  table.parentElement.previousElementSibling.append(" A click on a header sorts.");
   heads.forEach((head, i) => {
     const button = document.createElement("button");
     button.type = "button";

@@ -86,7 +86,8 @@ fn write_block(text: &mut String, first: &Laid, others: &[Laid], rows: usize) {
     }
 }
 
-fn broken(name: &str) -> Vec<String> {
+/// A column's name in short lines, broken after underscores.
+pub(super) fn broken(name: &str) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in name.split_inclusive('_') {
         match lines.last_mut() {
@@ -142,7 +143,7 @@ mod tests {
 
     #[test]
     fn many_columns_wrap_into_blocks_that_repeat_the_first() {
-        let columns: Vec<Column> = (0..40).map(|i| Column::new(&format!("column_{i}"), "ms", "")).collect();
+        let columns: Vec<Column> = (0..40).map(|i| Column::new(format!("column_{i}"), "ms", "")).collect();
         let row: serde_json::Map<_, _> = (0..40).map(|i| (format!("column_{i}"), json!(i))).collect();
         let text = table(&[Row::of(&row).unwrap()], &columns);
         assert!(text.lines().all(|line| line.chars().count() <= WIDTH));

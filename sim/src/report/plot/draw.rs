@@ -1,49 +1,15 @@
-//! How does a plot become SVG? One quiet style: thin grid, no frame, marks told apart by colour and by shape.
+//! How does a plot become SVG? Points or bars within a frame that all kinds share: grid, ticks, names and legend.
 //!
-//! plotters counts in whole pixels, so everything is drawn at twice its size and scaled down by the view box.
-//! Its literal colours become `currentColor` and CSS variables afterwards, so that a page decides light or dark.
+//! Whatever cannot be shown is counted, and the note below the plot says so.
 
-use plotters::coord::Shift;
 use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
+use plotters::style::text_anchor::HPos;
 
-use super::labels::{self, Area};
 use super::scale::{Dropped, Scale};
-use super::{Drawing, Plot, PlotKind};
-use crate::report::row::{number_text, printable};
+use super::style::{Canvas, Drawn, INK, LINE, MARGIN, MARK, TEXT, WIDTH, colour, draw_mark, ink, themed, width_of};
+use super::{Drawing, Plot, PlotKind, bars, points};
+use crate::report::row::printable;
 use crate::report::table::cut;
-
-/// Okabe and Ito's palette ("Color Universal Design", 2008) without black and with grey and a darker yellow, which
-/// stands on white as well as on black.
-const PALETTE: [RGBColor; 8] = [
-    RGBColor(0x00, 0x72, 0xb2),
-    RGBColor(0xd5, 0x5e, 0x00),
-    RGBColor(0x00, 0x9e, 0x73),
-    RGBColor(0xcc, 0x79, 0xa7),
-    RGBColor(0xe6, 0x9f, 0x00),
-    RGBColor(0x56, 0xb4, 0xe9),
-    RGBColor(0x80, 0x80, 0x80),
-    RGBColor(0xa8, 0x98, 0x00),
-];
-
-/// Stands for the page's text colour until the SVG is done.
-const INK: RGBColor = RGBColor(0x11, 0x11, 0x12);
-
-/// Everything below is in halves of a CSS pixel.
-const WIDTH: u32 = 1520;
-const HEIGHT: u32 = 840;
-const MARGIN: i32 = 24;
-const TEXT: i32 = 25;
-const LINE: i32 = 42;
-const MARK: i32 = 10;
-
-/// More labels than this cannot be read.
-const LABELS_MAX: usize = 60;
-/// More bars than this make a page of their own; the table has them all.
-const NAMES_MAX: usize = 100;
-
-type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), Box<dyn std::error::Error>>;
 
 pub(super) fn draw(plot: &Plot) -> Drawing {
     let mut remarks = Remarks::default();
@@ -61,17 +27,17 @@ pub(super) fn draw(plot: &Plot) -> Drawing {
 
 /// What happened to the data on its way into the picture.
 #[derive(Default)]
-struct Remarks {
+pub(super) struct Remarks {
     not_finite: usize,
     negative: usize,
-    labels_left_out: usize,
-    names_left_out: usize,
+    pub(super) labels_left_out: usize,
+    pub(super) names_left_out: usize,
     feet: Vec<String>,
-    texts: Vec<String>,
+    pub(super) texts: Vec<String>,
 }
 
 impl Remarks {
-    fn count(&mut self, dropped: Dropped) {
+    pub(super) fn count(&mut self, dropped: Dropped) {
         match dropped {
             Dropped::NotFinite => self.not_finite += 1,
             Dropped::Negative => self.negative += 1,
@@ -104,198 +70,22 @@ impl Remarks {
 
 fn draw_into(svg: &mut String, plot: &Plot, remarks: &mut Remarks) -> Drawn {
     match plot.kind {
-        PlotKind::Scatter | PlotKind::Line => draw_points(svg, plot, remarks),
-        PlotKind::Bars | PlotKind::StackedBars => draw_bars(svg, plot, remarks),
+        PlotKind::Scatter | PlotKind::Line => points::draw(svg, plot, remarks),
+        PlotKind::Bars | PlotKind::StackedBars => bars::draw(svg, plot, remarks),
     }
 }
 
-fn draw_points(svg: &mut String, plot: &Plot, remarks: &mut Remarks) -> Drawn {
-    let points = || plot.series.iter().flat_map(|series| &series.points);
-    // A point takes part in the axes only if both of its numbers can be shown.
-    let showable = |log: bool, v: f64| v.is_finite() && !(log && v < 0.0);
-    let shown = || points().filter(|p| showable(plot.x.log, p.x) && showable(plot.y.log, p.y));
-    let xs = Scale::new(plot.x.log, shown().map(|p| p.x), false).with_margin(0.02);
-    let ys = Scale::new(plot.y.log, shown().map(|p| p.y), false).with_margin(0.03);
-    note_foot(remarks, &xs, "x");
-    note_foot(remarks, &ys, "y");
-
-    let names: Vec<&str> = plot.series.iter().map(|series| series.name.as_str()).collect();
-    let legend = Legend::lay_out(&names);
-    let root = SVGBackend::with_string(svg, (WIDTH, HEIGHT + legend.height as u32)).into_drawing_area();
-    let chart = frame(&root, plot, &xs, &ys, &legend)?;
-    let pane = chart.plotting_area();
-
-    let mut marks = Vec::new();
-    let mut wanted = Vec::new();
-    for (index, series) in plot.series.iter().enumerate() {
-        let mut run: Vec<(i32, i32)> = Vec::new();
-        let mut runs = Vec::new();
-        for point in &series.points {
-            match (xs.place(point.x), ys.place(point.y)) {
-                (Ok((x, x_zero)), Ok((y, y_zero))) => {
-                    let at = pane.map_coordinate(&(x, y));
-                    run.push(at);
-                    marks.push((at, index, x_zero || y_zero));
-                    if !point.label.is_empty() {
-                        wanted.push((at, cut(&printable(&point.label), 40)));
-                    }
-                }
-                (Err(dropped), _) | (_, Err(dropped)) => {
-                    remarks.count(dropped);
-                    runs.push(std::mem::take(&mut run));
-                }
-            }
-        }
-        runs.push(run);
-        if plot.kind == PlotKind::Line {
-            for run in runs.into_iter().filter(|run| run.len() > 1) {
-                root.draw(&PathElement::new(run, colour(index).stroke_width(4)))?;
-            }
-        }
-    }
-
-    let quiet = plot.kind == PlotKind::Line && marks.len() > 40 * plot.series.len();
-    if !quiet {
-        for &(at, index, hollow) in &marks {
-            draw_mark(&root, at, index, hollow)?;
-        }
-    }
-    remarks.labels_left_out += wanted.len().saturating_sub(LABELS_MAX);
-    wanted.truncate(LABELS_MAX);
-    let (width, height) = pane.dim_in_pixel();
-    let (left, top) = pane.get_base_pixel();
-    let inside = Area { left, top, right: left + width as i32 + MARGIN / 2, bottom: top + height as i32 };
-    draw_labels(&root, &wanted, &marks, inside, remarks)
-}
-
-fn draw_labels(
-    root: &Canvas<'_>,
-    wanted: &[((i32, i32), String)],
-    marks: &[((i32, i32), usize, bool)],
-    inside: Area,
-    remarks: &mut Remarks,
-) -> Drawn {
-    let sizes: Vec<_> = wanted.iter().map(|(at, text)| (*at, (width_of(text), TEXT * 5 / 4))).collect();
-    let taken: Vec<Area> = marks.iter().map(|((x, y), ..)| Area::around(*x, *y, MARK)).collect();
-    for (((x, y), text), spot) in wanted.iter().zip(labels::place(&sizes, &taken, inside, MARK + 6)) {
-        let Some(spot) = spot else {
-            remarks.labels_left_out += 1;
-            continue;
-        };
-        let Area { left, top, right, bottom } = spot.area;
-        if spot.leader {
-            let end = ((*x).clamp(left, right), (*y).clamp(top, bottom));
-            root.draw(&PathElement::new(vec![(*x, *y), end], INK.mix(0.35).stroke_width(1)))?;
-        }
-        // Text hugs the side towards its point, since its true width is only guessed.
-        let (anchor, from) = if right <= *x { (HPos::Right, right) } else { (HPos::Left, left) };
-        root.draw_text(text, &ink(0.9, anchor), (from, (top + bottom) / 2))?;
-    }
-    Ok(())
-}
-
-fn draw_bars(svg: &mut String, plot: &Plot, remarks: &mut Remarks) -> Drawn {
-    let stacked = plot.kind == PlotKind::StackedBars;
-    let log = plot.y.log && !stacked;
-    if plot.y.log && stacked {
-        remarks.texts.push("Stacked bars add up only on a linear axis, so this one is.".to_owned());
-    }
-    let mut names: Vec<String> = Vec::new();
-    for point in plot.series.iter().flat_map(|series| &series.points) {
-        if !names.contains(&point.label) {
-            names.push(point.label.clone());
-        }
-    }
-    remarks.names_left_out = names.len().saturating_sub(NAMES_MAX);
-    names.truncate(NAMES_MAX);
-
-    let bars = lay_out_bars(plot, &names, stacked, log, remarks);
-    let values = Scale::new(log, bars.iter().flat_map(|bar| [bar.from, bar.to]), !log).with_room_above(0.08);
-    note_foot(remarks, &values, "value");
-    let short: Vec<String> = names.iter().map(|name| cut(&printable(name), 30)).collect();
-    let legend = Legend::lay_out(&plot.series.iter().map(|series| series.name.as_str()).collect::<Vec<_>>());
-    let lanes = if stacked { 1 } else { plot.series.len().max(1) };
-    let thickness = if names.len() * lanes > 24 { 22 } else { 34 };
-    let pane_height = (names.len().max(1) * (lanes * thickness + 26)) as i32;
-    let height = pane_height + 2 * MARGIN + LINE + LINE + LINE + legend.height;
-
-    let root = SVGBackend::with_string(svg, (WIDTH, height as u32)).into_drawing_area();
-    let lying = Plot { x: plot.y.clone(), y: super::Axis::linear(""), ..plot.clone() };
-    let scale_of_names = Scale::names(&short);
-    let chart = frame(&root, &lying, &values, &scale_of_names, &legend)?;
-    let pane = chart.plotting_area();
-    for bar in &bars {
-        let place = |v: f64| values.place(v).map(|(at, _)| at).unwrap_or(values.base());
-        let zero = values.place(bar.to).is_ok_and(|(_, zero)| zero);
-        let from = if log { values.base() } else { place(bar.from) };
-        let row = -(bar.name as f64);
-        let (x0, y) = pane.map_coordinate(&(from, row));
-        let (x1, _) = pane.map_coordinate(&(place(bar.to), row));
-        let top = y - (lanes * thickness) as i32 / 2 + (bar.lane * thickness) as i32;
-        let corners = [(x0.min(x1), top + 2), (x0.max(x1), top + thickness as i32 - 2)];
-        root.draw(&Rectangle::new(corners, colour(bar.series).filled()))?;
-        if zero && log {
-            draw_mark(&root, (x1, top + thickness as i32 / 2), bar.series, true)?;
-        }
-        if let Some(text) = &bar.text {
-            let (anchor, x) = if bar.to < 0.0 { (HPos::Right, x0.min(x1) - 10) } else { (HPos::Left, x0.max(x1) + 10) };
-            let x = if zero && log { x + MARK } else { x };
-            root.draw_text(text, &ink(0.9, anchor), (x, top + thickness as i32 / 2))?;
-        }
-    }
-    Ok(())
-}
-
-/// A bar, or a part of a stacked one.
-struct Bar {
-    name: usize,
-    lane: usize,
-    series: usize,
-    from: f64,
-    to: f64,
-    /// What stands at its end.
-    text: Option<String>,
-}
-
-fn lay_out_bars(plot: &Plot, names: &[String], stacked: bool, log: bool, remarks: &mut Remarks) -> Vec<Bar> {
-    let mut bars: Vec<Bar> = Vec::new();
-    let mut ends = vec![0.0; names.len()];
-    for (series, data) in plot.series.iter().enumerate() {
-        for point in &data.points {
-            let Some(name) = names.iter().position(|name| *name == point.label) else { continue };
-            if !point.y.is_finite() {
-                remarks.count(Dropped::NotFinite);
-            } else if point.y < 0.0 && log {
-                remarks.count(Dropped::Negative);
-            } else if point.y < 0.0 && stacked {
-                remarks.texts.push(format!("{} of {} is negative and cannot be stacked.", data.name, point.label));
-            } else if stacked {
-                let from = ends[name];
-                ends[name] += point.y;
-                // Only the last part says how long the whole is.
-                bars.iter_mut().filter(|bar| bar.name == name).for_each(|bar| bar.text = None);
-                bars.push(Bar { name, lane: 0, series, from, to: ends[name], text: Some(number_text(ends[name])) });
-            } else {
-                // On a log axis a bar starts at the axis's end, not at zero.
-                let from = if log { point.y } else { 0.0 };
-                bars.push(Bar { name, lane: series, series, from, to: point.y, text: Some(number_text(point.y)) });
-            }
-        }
-    }
-    bars
-}
-
-fn note_foot(remarks: &mut Remarks, scale: &Scale, axis: &str) {
+pub(super) fn note_foot(remarks: &mut Remarks, scale: &Scale, axis: &str) {
     if let Some(power) = scale.foot_text() {
         let text = format!("Hollow marks at the foot of the {axis} axis, below {power}, are exactly 0.");
         remarks.feet.push(text);
     }
 }
 
-type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Scale, Scale>>;
+pub(super) type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Scale, Scale>>;
 
 /// Draws grid, ticks, the axes' names and the legend.
-fn frame<'a>(
+pub(super) fn frame<'a>(
     root: &Canvas<'a>,
     plot: &Plot,
     xs: &Scale,
@@ -320,7 +110,8 @@ fn frame<'a>(
         .set_all_tick_mark_size(0)
         .label_style(ink(0.72, HPos::Left));
     if lying {
-        mesh.disable_y_mesh();
+        // An unseen tick keeps the names off their bars.
+        mesh.disable_y_mesh().set_tick_mark_size(LabelAreaPosition::Left, MARK);
     }
     mesh.draw()?;
 
@@ -338,13 +129,13 @@ fn frame<'a>(
 }
 
 /// Names of series in rows above the plot; none for a single series.
-struct Legend {
+pub(super) struct Legend {
     entries: Vec<(i32, i32, String)>,
-    height: i32,
+    pub(super) height: i32,
 }
 
 impl Legend {
-    fn lay_out(names: &[&str]) -> Self {
+    pub(super) fn lay_out(names: &[&str]) -> Self {
         let mut entries = Vec::new();
         if names.len() < 2 {
             return Self { entries, height: 0 };
@@ -366,7 +157,8 @@ impl Legend {
         for (index, (x, y, text)) in self.entries.iter().enumerate() {
             let at = (x + MARK, y + LINE / 2);
             if square {
-                root.draw(&Rectangle::new(around(at, MARK), colour(index).filled()))?;
+                let corners = [(at.0 - MARK, at.1 - MARK), (at.0 + MARK, at.1 + MARK)];
+                root.draw(&Rectangle::new(corners, colour(index).filled()))?;
             } else {
                 draw_mark(root, at, index, false)?;
             }
@@ -374,70 +166,6 @@ impl Legend {
         }
         Ok(())
     }
-}
-
-fn draw_mark(root: &Canvas<'_>, (x, y): (i32, i32), series: usize, hollow: bool) -> Drawn {
-    let colour = colour(series);
-    let style = if hollow { colour.stroke_width(4) } else { colour.mix(0.9).filled() };
-    // A further shape with each turn of the palette, so that no two of the first 32 series are alike.
-    let corners = match (series + series / PALETTE.len()) % 4 {
-        0 => {
-            root.draw(&Circle::new((x, y), MARK, style))?;
-            return Ok(());
-        }
-        1 => vec![(x - 9, y - 9), (x + 9, y - 9), (x + 9, y + 9), (x - 9, y + 9), (x - 9, y - 9)],
-        2 => vec![(x, y - 12), (x + 11, y + 8), (x - 11, y + 8), (x, y - 12)],
-        _ => vec![(x, y - 13), (x + 13, y), (x, y + 13), (x - 13, y), (x, y - 13)],
-    };
-    if hollow {
-        root.draw(&PathElement::new(corners, style))?;
-    } else {
-        root.draw(&Polygon::new(corners, style))?;
-    }
-    Ok(())
-}
-
-fn around((x, y): (i32, i32), reach: i32) -> [(i32, i32); 2] {
-    [(x - reach, y - reach), (x + reach, y + reach)]
-}
-
-fn colour(series: usize) -> RGBColor {
-    PALETTE[series % PALETTE.len()]
-}
-
-fn ink(strength: f64, anchor: HPos) -> TextStyle<'static> {
-    // plotters-svg writes a font size divided by 1.24.
-    let font = ("sans-serif", f64::from(TEXT) * 1.24).into_font();
-    let color = INK.mix(strength).to_backend_color();
-    TextStyle { font, color, pos: Pos::new(anchor, VPos::Center) }
-}
-
-/// A guess, since the reader's fonts are unknown: rather too wide.
-fn width_of(text: &str) -> i32 {
-    let ems = |c: char| match c {
-        'i' | 'j' | 'l' | 'f' | 't' | '.' | ',' | '\'' | ':' | '|' | ' ' => 0.34,
-        'm' | 'w' | 'M' | 'W' | '%' | '@' => 0.92,
-        c if c.is_ascii_uppercase() => 0.7,
-        c if (c as u32) < 0x2e80 => 0.58,
-        _ => 1.0,
-    };
-    (text.chars().map(ems).sum::<f64>() * f64::from(TEXT)).ceil() as i32
-}
-
-/// Scales by the view box, lets CSS choose the colours, and names the picture for those who cannot see it.
-///
-/// Only attributes change: in text, plotters-svg writes a quotation mark as `&quot;`.
-fn themed(svg: &str, title: &str) -> String {
-    let hex = |c: RGBColor| format!("\"#{:02X}{:02X}{:02X}\"", c.0, c.1, c.2);
-    let mut text = svg.replace(&hex(INK), "\"currentColor\"");
-    for (i, colour) in PALETTE.into_iter().enumerate() {
-        let literal = hex(colour);
-        text = text.replace(&literal, &format!("\"var(--s{i},{})\"", literal.trim_matches('"')));
-    }
-    let Some((head, body)) = text.split_once(">\n") else { return text };
-    let view_box = head.split("viewBox=").nth(1).and_then(|rest| rest.split('"').nth(1)).unwrap_or("0 0 1520 840");
-    let title = super::super::html::escape(title);
-    format!("<svg viewBox=\"{view_box}\" role=\"img\" class=\"plot\"><title>{title}</title>\n{body}")
 }
 
 #[cfg(test)]

@@ -26,19 +26,26 @@ impl Area {
     }
 }
 
-/// Where a label starts, and whether it is far enough from its point to need a line to it.
+/// A label to place: its point, and width and height of its text.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Wanted {
+    pub at: (i32, i32),
+    pub size: (i32, i32),
+}
+
+/// Where a label goes, and whether it is far enough from its point to need a line to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Spot {
     pub area: Area,
     pub leader: bool,
 }
 
-/// Finds a place within `frame` for each label (position of the point, size of the text) that covers no mark and no
+/// Finds a place within `frame` for each label that covers no mark and no
 /// other label. `None` where there is none near enough.
-pub(super) fn place(labels: &[((i32, i32), (i32, i32))], marks: &[Area], frame: Area, gap: i32) -> Vec<Option<Spot>> {
+pub(super) fn place(labels: &[Wanted], marks: &[Area], frame: Area, gap: i32) -> Vec<Option<Spot>> {
     let mut taken = marks.to_vec();
     let mut spots = Vec::with_capacity(labels.len());
-    for &((x, y), (width, height)) in labels {
+    for &Wanted { at: (x, y), size: (width, height) } in labels {
         let mut found = None;
         'search: for ring in 0..RINGS {
             let far = gap + ring * height * 3 / 4;
@@ -77,7 +84,7 @@ mod tests {
 
     #[test]
     fn labels_of_one_point_do_not_overlap() {
-        let labels = vec![((500, 250), (120, 20)); 8];
+        let labels = vec![Wanted { at: (500, 250), size: (120, 20) }; 8];
         let spots = place(&labels, &[Area::around(500, 250, 8)], FRAME, 10);
         let areas: Vec<Area> = spots.iter().flatten().map(|spot| spot.area).collect();
         assert_eq!(areas.len(), 8);
@@ -88,7 +95,9 @@ mod tests {
 
     #[test]
     fn a_label_keeps_within_the_frame_or_is_left_out() {
-        let spots = place(&[((995, 5), (120, 20)), ((500, 250), (2000, 20))], &[], FRAME, 10);
+        let (near_edge, too_long) =
+            (Wanted { at: (995, 5), size: (120, 20) }, Wanted { at: (500, 250), size: (2000, 20) });
+        let spots = place(&[near_edge, too_long], &[], FRAME, 10);
         assert!(FRAME.contains(&spots[0].unwrap().area));
         assert_eq!(spots[1], None);
     }

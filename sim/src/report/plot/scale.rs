@@ -73,8 +73,9 @@ impl Scale {
         let (e0, e1) = (first as i32, last as i32);
         let mut ticks = Vec::new();
         if e1 - e0 <= 2 {
+            let digits: &[i32] = if e1 - e0 == 1 { &[1, 2, 3, 5, 7] } else { &[1, 2, 5] };
             for exponent in e0..=e1 {
-                for digit in [1, 2, 5] {
+                for &digit in digits {
                     ticks.push((f64::from(exponent) + f64::from(digit).log10(), power_text(digit, exponent)));
                 }
             }
@@ -175,7 +176,7 @@ fn linear_text(value: f64, step: f64, largest: f64) -> String {
     if value == 0.0 {
         return "0".to_owned();
     }
-    if largest >= 1e6 || largest < 1e-3 {
+    if !(1e-3..1e6).contains(&largest) {
         let exponent = largest.log10().floor() as i32;
         let decimals = (f64::from(exponent) - step.log10().floor()).clamp(0.0, 12.0) as usize;
         return format!("{:.decimals$}·10{}", value / 10f64.powi(exponent), superscript(exponent));
@@ -216,7 +217,7 @@ mod tests {
     fn ticks_are_round_numbers() {
         assert_eq!(texts(&Scale::new(false, [0.3, 9.7].into_iter(), false)), ["0", "2", "4", "6", "8", "10"]);
         assert_eq!(texts(&Scale::new(false, [-1.0, 1.0].into_iter(), false)), ["-1.0", "-0.5", "0", "0.5", "1.0"]);
-        assert_eq!(texts(&Scale::new(true, [2.1, 3.4].into_iter(), false)), ["2", "5"]);
+        assert_eq!(texts(&Scale::new(true, [2.1, 3.4].into_iter(), false)), ["2", "3", "5"]);
         assert_eq!(
             texts(&Scale::new(true, [0.002, 700.0].into_iter(), false)),
             ["0.001", "0.01", "0.1", "1", "10", "100", "1000"]
