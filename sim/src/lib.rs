@@ -1,1 +1,3 @@
 //! Scenes, motion, measurement and reports.
+
+pub mod report;
