@@ -106,7 +106,7 @@ pub struct PathSpec {
     /// Rest at each end.
     #[serde(default)]
     pub pause: f64,
-    /// How much of the cycle has passed at time 0.
+    /// How much of the cycle has passed at time 0, as a share of it: 0 to 1.
     #[serde(default)]
     pub phase: f64,
     /// Sideways swing while moving: amplitude.
