@@ -165,11 +165,8 @@ impl Path {
             return (segment.from, self.heading);
         }
         let share = ((way - segment.start) / segment.length).clamp(0.0, 1.0);
-        let offset = if share == 0.0 || share == 1.0 {
-            0.0
-        } else {
-            self.wobble * (PI * segment.half_swings * share).sin()
-        };
+        let offset =
+            if share == 0.0 || share == 1.0 { 0.0 } else { self.wobble * (PI * segment.half_swings * share).sin() };
         let position = segment.from.lerp(segment.to, share) + segment.sideways * offset;
         (position, self.heading + TURN_PER_OFFSET * offset)
     }
@@ -273,9 +270,17 @@ mod tests {
         // 2 m at 1 m/s with 1 s of rest at each end: a cycle of 6 s.
         let path = Path::new(&straight(1.0, 1.0), 0.25, "chair.0").unwrap();
         let x_at = |time_s| path.pose_at(time_s).0.x;
-        for (time_s, x) in
-            [(0.0, 1.0), (1.0, 2.0), (2.0, 3.0), (2.9, 3.0), (4.0, 2.0), (5.0, 1.0), (5.9, 1.0), (7.0, 2.0), (-1.5, 1.5)]
-        {
+        for (time_s, x) in [
+            (0.0, 1.0),
+            (1.0, 2.0),
+            (2.0, 3.0),
+            (2.9, 3.0),
+            (4.0, 2.0),
+            (5.0, 1.0),
+            (5.9, 1.0),
+            (7.0, 2.0),
+            (-1.5, 1.5),
+        ] {
             assert!((x_at(time_s) - x).abs() < 1e-12, "x({time_s}) = {}, not {x}", x_at(time_s));
         }
         assert_eq!(path.pose_at(1.0).1, 0.25);
