@@ -7,11 +7,15 @@
 //! to the scene's `anchor`.
 
 mod bound;
+mod load;
 mod occlusion;
+mod ray;
 mod scene;
 mod view;
 
 pub use bound::{Aabb, Bound};
+pub use load::{LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats};
 pub use occlusion::{DynamicIndex, Occlusion, Target};
+pub use ray::{Hit, RayScene, image_ray, pixel_ray};
 pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
 pub use view::{EyeRegion, Resolution, View};
