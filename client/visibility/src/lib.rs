@@ -8,10 +8,12 @@
 
 mod bound;
 mod occlusion;
+mod octree;
 mod scene;
 mod view;
 
 pub use bound::{Aabb, Bound};
 pub use occlusion::{DynamicIndex, Occlusion, Target};
+pub use octree::{CellId, Face, Neighbour, Octree, OctreeRules};
 pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
 pub use view::{EyeRegion, Resolution, View};
