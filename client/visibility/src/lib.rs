@@ -7,12 +7,14 @@
 //! to the scene's `anchor`.
 
 mod bound;
+mod cplp;
 mod occlusion;
 mod octree;
 mod scene;
 mod view;
 
 pub use bound::{Aabb, Bound};
+pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
 pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use octree::{CellId, Face, Neighbour, Octree, OctreeRules};
 pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
