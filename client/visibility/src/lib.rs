@@ -8,14 +8,18 @@
 
 mod bound;
 mod cplp;
+mod culler;
 mod occlusion;
 mod octree;
+mod raster_sampled;
 mod scene;
 mod view;
 
 pub use bound::{Aabb, Bound};
 pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
+pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, Scratch, ZBuffer, exact_set, wrong_pixels};
 pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use octree::{CellId, Face, Neighbour, Octree, OctreeRules};
+pub use raster_sampled::{DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
 pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
 pub use view::{EyeRegion, Resolution, View};
