@@ -6,8 +6,10 @@
 //! World: metres, right-handed, +Y up, −Z forward (glTF's convention). Inside a [`Scene`] every position is relative
 //! to the scene's `anchor`.
 
+mod all_round;
 mod bound;
 mod load;
+mod occluders;
 mod occlusion;
 mod ray;
 mod cplp;
@@ -16,10 +18,14 @@ mod occlusion;
 mod octree;
 mod raster_sampled;
 mod scene;
+mod under;
+mod under_face;
 mod view;
 
+pub use all_round::{AllRound, AllRoundScratch, AllRoundStats};
 pub use bound::{Aabb, Bound};
 pub use load::{LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats};
+pub use occluders::Occluders;
 pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use ray::{Hit, RayScene, image_ray, pixel_ray};
 pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
@@ -28,4 +34,5 @@ pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use octree::{CellId, Face, Neighbour, Octree, OctreeRules};
 pub use raster_sampled::{DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
 pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
+pub use under::{RegionError, UnderOcclusion, UnderStats};
 pub use view::{EyeRegion, Resolution, View};
