@@ -1,8 +1,8 @@
 //! Scenes, motion, measurement and reports.
 
-pub mod report;
 pub mod motion;
 pub mod places;
+pub mod report;
 pub mod scene;
 
 /// A seeded source of chance for one purpose. Each purpose has its own stream, so that taking one draw more for chairs

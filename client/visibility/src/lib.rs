@@ -8,15 +8,14 @@
 
 mod all_round;
 mod bound;
+mod cplp;
+mod culler;
 mod load;
 mod occluders;
 mod occlusion;
-mod ray;
-mod cplp;
-mod culler;
-mod occlusion;
 mod octree;
 mod raster_sampled;
+mod ray;
 mod scene;
 mod under;
 mod under_face;
@@ -24,15 +23,14 @@ mod view;
 
 pub use all_round::{AllRound, AllRoundScratch, AllRoundStats};
 pub use bound::{Aabb, Bound};
+pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
+pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, Scratch, ZBuffer, exact_set, wrong_pixels};
 pub use load::{LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats};
 pub use occluders::Occluders;
 pub use occlusion::{DynamicIndex, Occlusion, Target};
-pub use ray::{Hit, RayScene, image_ray, pixel_ray};
-pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
-pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, Scratch, ZBuffer, exact_set, wrong_pixels};
-pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use octree::{CellId, Face, Neighbour, Octree, OctreeRules};
 pub use raster_sampled::{DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
+pub use ray::{Hit, RayScene, image_ray, pixel_ray};
 pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
 pub use under::{RegionError, UnderOcclusion, UnderStats};
 pub use view::{EyeRegion, Resolution, View};
