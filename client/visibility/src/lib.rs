@@ -7,6 +7,7 @@
 //! to the scene's `anchor`.
 
 mod bound;
+mod dynamic_index;
 mod load;
 mod occlusion;
 mod ray;
@@ -14,6 +15,7 @@ mod scene;
 mod view;
 
 pub use bound::{Aabb, Bound};
+pub use dynamic_index::DynamicOctree;
 pub use load::{LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats};
 pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use ray::{Hit, RayScene, image_ray, pixel_ray};
