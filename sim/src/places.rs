@@ -101,7 +101,7 @@ fn parse(path: &Path, text: &str) -> Result<Vec<Place>, PlacesError> {
     let mut places = Vec::with_capacity(file.places.len());
     for (number, Record { kind, position, min, max }) in file.places.into_iter().enumerate() {
         let values = [Some(position), min, max].into_iter().flatten().flatten();
-        if let Some(value) = values.into_iter().find(|value| !(value.abs() <= FAR)) {
+        if let Some(value) = values.into_iter().find(|value| !(-FAR..=FAR).contains(value)) {
             return bad(format!("places[{number}] has a coordinate of {value}; give metres, at most {FAR}"));
         }
         let room = min.zip(max).map(|(min, max)| (DVec3::from(min), DVec3::from(max)));
@@ -132,6 +132,17 @@ mod tests {
         assert_eq!(places[0].position, DVec3::new(1.0, 2.5, -30.0));
         assert_eq!((places[0].kind.as_str(), places[0].room), ("spawn", None));
         assert_eq!(places[1].room, Some((DVec3::new(-1.0, 0.0, -1.0), DVec3::new(1.0, 3.0, 1.0))));
+    }
+
+    #[test]
+    fn real_files_are_read() {
+        let Some(folder) = crate::given_data("scenes") else { return };
+        for (name, count) in [("oa_dm2", 44), ("oa_koth1", 98), ("ctf_compromise", 110), ("large_building", 8)] {
+            let places = beside(&folder.join(name).with_extension("glb")).unwrap().unwrap();
+            assert_eq!(places.len(), count, "{name}");
+            assert_eq!(places.iter().filter(|place| place.room.is_some()).count(), if count == 8 { 8 } else { 0 });
+        }
+        assert!(beside(&folder.join("sponza.glb")).unwrap().is_none());
     }
 
     #[test]

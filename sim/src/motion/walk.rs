@@ -111,7 +111,7 @@ impl Walker {
         if !(from > 0.0 && from <= to && to.is_finite()) {
             return Err(WalkError::Speeds { from, to });
         }
-        if !(to <= avatar.speed_max) {
+        if to > avatar.speed_max || avatar.speed_max.is_nan() {
             return Err(WalkError::TooFast { speed: to, speed_max: avatar.speed_max });
         }
         let most = RADIUS_MAX.min(0.5 * plan.rules.door_width - AIR);
