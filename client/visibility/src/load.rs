@@ -9,6 +9,7 @@
 mod accessor;
 mod buffers;
 mod error;
+mod pack;
 #[cfg(test)]
 mod tests;
 
@@ -27,11 +28,11 @@ use gltf::json::{
     validation::Checked,
 };
 
-pub use self::error::LoadError;
 use self::{
     accessor::{Elements, Source},
     buffers::Bytes,
 };
+pub use self::{error::LoadError, pack::pack_glb};
 use crate::{Aabb, Node, ObjectMesh, Scene, Sides, Triangle};
 
 /// How to read a file.
