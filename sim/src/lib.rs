@@ -1,9 +1,11 @@
 //! Scenes, motion, measurement and reports.
 
 pub mod motion;
+pub mod people;
 pub mod places;
 pub mod report;
 pub mod scene;
+pub mod stage;
 pub mod trace;
 
 /// A seeded source of chance for one purpose. Each purpose has its own stream, so that taking one draw more for chairs
