@@ -48,5 +48,5 @@ pub fn measure_all(
     let written = report.write(out)?;
     let columns: Vec<_> =
         measure::columns().into_iter().filter(|column| report::SHORT.contains(&column.key.as_str())).collect();
-    Ok(format!("{}\n{}\nreport: {}\n", table(report.rows(), &columns), report.run.headline, written.html.display()))
+    Ok(format!("{}\n{}\nreport: {}\n", table(report.rows(), &columns), report.headline, written.html.display()))
 }

@@ -50,7 +50,7 @@ pub fn report(run: Run, stage: &Stage, rows: &[MeasureRow], config: &MeasureConf
     for row in rows {
         report.push(row)?;
     }
-    report.run.headline = headline(rows);
+    report.headline = headline(rows);
     report.compare(Comparison::new(&["policy"], "client_frame_ms", "missed_percent").by_series("policy"));
     let mut traffic = Plot::new(
         "Picture error against traffic",
