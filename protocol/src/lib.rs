@@ -12,6 +12,7 @@ mod motion;
 mod position;
 mod tbv;
 mod time;
+mod untrusted;
 
 pub use ids::{ClassId, ClientId, Issue, ObjectId};
 pub use link::{Arrival, Link, LinkHeader, RoundTrip};

@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     ClassId, ClientId, Extent, Issue, LinkHeader, MotionBound, ObjectId, Orientation, Position, Tbv, WorldTime,
 };
-use crate::{QUANTUM_METRES, codec};
+use crate::{QUANTUM_METRES, codec, untrusted};
 
 /// Who the client wants to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -65,6 +65,7 @@ pub enum ClientControl {
         /// [`crate::VERSION`] of the client.
         version: u16,
         /// Admission token; empty for anonymous.
+        #[serde(deserialize_with = "untrusted::list")]
         token: Vec<u8>,
         /// Greatest resolution that it will draw at, pixels.
         resolution: (u16, u16),
@@ -73,6 +74,7 @@ pub enum ClientControl {
         /// Who it wants to be.
         role: Role,
         /// A name for people.
+        #[serde(deserialize_with = "untrusted::string")]
         name: String,
     },
     /// Asks for the world's bytes, on a stream of their own.
@@ -94,6 +96,7 @@ pub enum ClientControl {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Class {
     /// Name for people, and of the world file.
+    #[serde(deserialize_with = "untrusted::string")]
     pub name: String,
     /// How it moves.
     pub motion: MotionBound,
@@ -107,6 +110,7 @@ pub struct Class {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WorldInfo {
     /// Name for people.
+    #[serde(deserialize_with = "untrusted::string")]
     pub name: String,
     /// BLAKE3 of the model's bytes.
     pub hash: [u8; 32],
@@ -122,12 +126,14 @@ pub struct Welcome {
     /// The client's own number.
     pub client: ClientId,
     /// Its avatars, and where they stand.
+    #[serde(deserialize_with = "untrusted::list")]
     pub avatars: Vec<(ObjectId, Position, Orientation)>,
     /// Point of the model's space that all positions are relative to, metres.
     pub anchor: [f64; 3],
     /// World time between ticks, microseconds.
     pub tick_micros: u32,
     /// The interest policy's name.
+    #[serde(deserialize_with = "untrusted::string")]
     pub policy: String,
     /// Whether the client decides what to ask for (the policy `visible`), or is told.
     pub tracking: bool,
@@ -136,6 +142,7 @@ pub struct Welcome {
     /// The static world.
     pub world: WorldInfo,
     /// Kinds of objects; a [`ClassId`] is an index.
+    #[serde(deserialize_with = "untrusted::list")]
     pub classes: Vec<Class>,
 }
 
@@ -147,8 +154,10 @@ pub struct RosterEntry {
     /// Its kind.
     pub class: ClassId,
     /// A name for people.
+    #[serde(deserialize_with = "untrusted::string")]
     pub name: String,
     /// Node of the model with its mesh; empty for an avatar.
+    #[serde(deserialize_with = "untrusted::string")]
     pub node: String,
     /// A first bound, so that it need not be asked for; `None` if it is not in the world or the policy needs none.
     pub bound: Option<WireTbv>,
@@ -181,6 +190,7 @@ pub enum ServerControl {
         /// Why, for programs.
         refusal: Refusal,
         /// Why, for people, with the remedy.
+        #[serde(deserialize_with = "untrusted::string")]
         reason: String,
     },
     /// Objects that exist, in pieces.
@@ -188,11 +198,13 @@ pub enum ServerControl {
         /// World time of the state that the bounds were made from.
         tick: WorldTime,
         /// At most [`ServerControl::ROSTER_MAX`].
+        #[serde(deserialize_with = "untrusted::list")]
         entries: Vec<RosterEntry>,
     },
     /// These objects exist no more.
     Left {
         /// Their ids.
+        #[serde(deserialize_with = "untrusted::list")]
         objects: Vec<ObjectId>,
     },
 }
