@@ -4,6 +4,7 @@
 //! connect. Positions on the wire are fixed point ([`Position`]) relative to the world's anchor, so that both ends
 //! compute with exactly the same numbers; whatever bounds an object rounds outward.
 
+mod check;
 pub mod codec;
 mod ids;
 mod link;
@@ -14,6 +15,7 @@ mod tbv;
 mod time;
 mod untrusted;
 
+pub use check::{AVATARS_MAX, CLASSES_MAX, Message, NAME_BYTES_MAX, TOKEN_BYTES_MAX};
 pub use ids::{ClassId, ClientId, Issue, ObjectId};
 pub use link::{Arrival, Link, LinkHeader, RoundTrip};
 pub use message::{

@@ -3,7 +3,7 @@
 //! A list comes as its length and then its elements. Left to themselves, serde reserves up to 1 MiB for a length that a
 //! peer merely claims and bincode zeroes a whole string before it looks for its bytes: ten bytes could make us touch
 //! megabytes. Every list and string of a message is read through these functions, which allocate only for what has
-//! arrived. How long it may be at all is said by `check`.
+//! arrived. How long it may be at all is said by [`crate::Message::check`].
 
 use std::marker::PhantomData;
 
