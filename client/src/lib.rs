@@ -4,5 +4,7 @@
 //! `net` adds the QUIC shell.
 
 pub mod clock;
+#[cfg(feature = "net")]
+pub mod net;
 pub mod session;
 pub mod tracking;

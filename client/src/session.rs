@@ -287,6 +287,15 @@ impl Session {
         self.control.pop_front()
     }
 
+    /// The next datagram of at most `limit` bytes, but only if there is a record that should not wait for the next frame:
+    /// a question that an answer has raised. Acknowledgements alone wait.
+    pub fn poll_urgent(&mut self, limit: usize, now: LocalTime) -> Option<Vec<u8>> {
+        if self.held_back.is_none() {
+            self.held_back = self.tracker.as_mut()?.poll_record(now);
+        }
+        self.held_back.is_some().then(|| self.poll_datagram(limit, now))?
+    }
+
     /// The next datagram of at most `limit` bytes.
     pub fn poll_datagram(&mut self, limit: usize, now: LocalTime) -> Option<Vec<u8>> {
         let tracker = self.tracker.as_mut()?;

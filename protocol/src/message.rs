@@ -126,7 +126,7 @@ pub struct WorldInfo {
     /// Name for people.
     #[serde(deserialize_with = "untrusted::string")]
     pub name: String,
-    /// BLAKE3 of the model's bytes.
+    /// SHA-256 of the model's bytes.
     pub hash: [u8; 32],
     /// Size of the model.
     pub size_bytes: u64,

@@ -3,6 +3,10 @@
 //! [`world::World`] is a pure state machine that runs over real QUIC and in virtual time alike; a [`policy::Policy`]
 //! decides what each client is told.
 
+#[cfg(feature = "audit")]
+pub mod model;
+#[cfg(feature = "net")]
+pub mod net;
 pub mod path;
 pub mod policy;
 pub mod spec;

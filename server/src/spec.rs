@@ -11,6 +11,9 @@ use serde::{Deserialize, Serialize};
 pub struct WorldSpec {
     /// A name for people.
     pub name: String,
+    /// Whether every face of the model has two sides, whatever its material says: for game maps.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub two_sided: bool,
     /// What an avatar is like.
     pub avatar: AvatarSpec,
     /// Where avatars start.

@@ -6,12 +6,35 @@
 //! World: metres, right-handed, +Y up, −Z forward (glTF's convention). Inside a [`Scene`] every position is relative
 //! to the scene's `anchor`.
 
+mod all_round;
 mod bound;
+mod cplp;
+mod culler;
+mod dynamic_index;
+mod load;
+mod occluders;
 mod occlusion;
+mod octree;
+mod raster_sampled;
+mod ray;
 mod scene;
+mod under;
+mod under_face;
 mod view;
 
+pub use all_round::{AllRound, AllRoundScratch, AllRoundStats};
 pub use bound::{Aabb, Bound};
+pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
+pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, Scratch, ZBuffer, exact_set, wrong_pixels};
+pub use dynamic_index::DynamicOctree;
+pub use load::{
+    LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats, pack_glb,
+};
+pub use occluders::Occluders;
 pub use occlusion::{DynamicIndex, Occlusion, Target};
+pub use octree::{CellId, Face, Neighbour, Octree, OctreeRules};
+pub use raster_sampled::{DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
+pub use ray::{Hit, RayScene, image_ray, pixel_ray};
 pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
+pub use under::{RegionError, UnderOcclusion, UnderStats};
 pub use view::{EyeRegion, Resolution, View};

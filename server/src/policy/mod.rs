@@ -4,6 +4,8 @@
 mod broadcast;
 #[cfg(feature = "audit")]
 mod oracle;
+#[cfg(feature = "audit")]
+mod sight;
 mod visible;
 
 use eyeline_protocol::ObjectId;
@@ -12,6 +14,8 @@ use glam::DVec3;
 pub use broadcast::Broadcast;
 #[cfg(feature = "audit")]
 pub use oracle::{Oracle, Sight};
+#[cfg(feature = "audit")]
+pub use sight::{ExactSight, Meshes};
 pub use visible::Visible;
 
 use crate::world::{Object, SessionId};

@@ -1,0 +1,113 @@
+//! The headless client: walks, looks, asks, draws nothing.
+
+use std::future::Future;
+use std::time::{Duration, Instant};
+
+use eyeline_protocol::{LocalTime, ObjectId, Orientation, Position};
+use eyeline_visibility::Occlusion;
+
+use super::{Arrival, Connection, NetError};
+use crate::session::{FrameTime, Session};
+
+/// Where an avatar is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Which of the client's avatars.
+    pub object: ObjectId,
+    /// Its reference point, relative to the anchor.
+    pub position: Position,
+    /// How it is turned.
+    pub orientation: Orientation,
+}
+
+/// What a frame cost, and when it was.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameReport {
+    /// Number of the frame, from 0.
+    pub frame: u64,
+    /// When it began, on the process's clock.
+    pub began: LocalTime,
+    /// The server's time as the client knew it; `None` before it knows.
+    pub time: Option<FrameTime>,
+    /// Time for culling.
+    pub cull: Duration,
+    /// Time for tracking.
+    pub track: Duration,
+    /// How late the frame began.
+    pub late: Duration,
+}
+
+/// The person in front of a headless client.
+pub trait Driver {
+    /// Moves on to `now` and says where the avatars are.
+    fn poses(&mut self, session: &Session, now: LocalTime) -> Vec<Pose>;
+
+    /// Culls from the present eye. Called once a frame, after [`Driver::poses`].
+    fn cull(&mut self);
+
+    /// What hides things, as of the newest [`Driver::cull`]; `None` if the client looks at nothing.
+    fn occlusion(&self) -> Option<&dyn Occlusion>;
+
+    /// A frame is done.
+    fn frame_done(&mut self, session: &mut Session, report: &FrameReport);
+}
+
+/// What a headless client did.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Summary {
+    /// Frames made.
+    pub frames: u64,
+    /// Frames that were left out because the process came late.
+    pub skipped: u64,
+}
+
+/// Runs a client until `shutdown` is ready: a frame every `period`, the first after `phase`.
+///
+/// # Errors
+/// If the connection is lost.
+pub async fn run_headless(
+    connection: &mut Connection,
+    driver: &mut dyn Driver,
+    period: Duration,
+    phase: Duration,
+    shutdown: impl Future<Output = ()>,
+) -> Result<Summary, NetError> {
+    tokio::pin!(shutdown);
+    let clock = connection.clock();
+    let mut summary = Summary::default();
+    let mut due = clock.now() + phase;
+    loop {
+        tokio::select! {
+            biased;
+            () = &mut shutdown => return Ok(summary),
+            arrival = connection.arrive() => {
+                if let Arrival::Datagram(bytes) = arrival? {
+                    let now = clock.now();
+                    connection.session.handle_datagram(&bytes, driver.occlusion(), now);
+                }
+                connection.flush_urgent();
+            }
+            () = tokio::time::sleep_until(clock.instant(due).into()) => {
+                let now = clock.now();
+                let late = now.since(due);
+                for pose in driver.poses(&connection.session, now) {
+                    connection.session.set_pose(pose.object, pose.position, pose.orientation);
+                }
+                let started = Instant::now();
+                driver.cull();
+                let cull = started.elapsed();
+                let started = Instant::now();
+                let time = driver.occlusion().and_then(|occlusion| connection.session.frame(occlusion, now));
+                let report = FrameReport { frame: summary.frames, began: now, time, cull, track: started.elapsed(), late };
+                driver.frame_done(&mut connection.session, &report);
+                connection.flush().await?;
+                summary.frames += 1;
+                due = due + period;
+                while due + period < clock.now() {
+                    due = due + period;
+                    summary.skipped += 1;
+                }
+            }
+        }
+    }
+}

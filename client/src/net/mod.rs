@@ -1,0 +1,326 @@
+//! The QUIC shell: a socket and a clock around a [`Session`], and the headless client.
+
+// This is a driver: it may read the clock and own sockets.
+#![expect(clippy::disallowed_methods, clippy::disallowed_types)]
+
+mod headless;
+mod pin;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use eyeline_protocol::codec::ControlReader;
+use eyeline_protocol::{ALPN, LocalTime};
+pub use headless::{Driver, FrameReport, Pose, Summary, run_headless};
+pub use pin::{Fingerprint, FingerprintError};
+use quinn::crypto::rustls::QuicClientConfig;
+
+use crate::session::{Event, Session};
+
+/// Why there is no connection, or no longer.
+#[derive(Debug, thiserror::Error)]
+pub enum NetError {
+    /// No socket.
+    #[error("cannot open a socket: {0}")]
+    Socket(#[from] std::io::Error),
+    /// The address is no address.
+    #[error("cannot connect to {address}: {source}")]
+    Connect {
+        /// Where.
+        address: SocketAddr,
+        /// Why.
+        source: quinn::ConnectError,
+    },
+    /// The handshake failed.
+    #[error("no connection to {address}: {reason}")]
+    Handshake {
+        /// Where.
+        address: SocketAddr,
+        /// Why, with the remedy where there is one.
+        reason: String,
+    },
+    /// The connection ended.
+    #[error("connection lost: {0}")]
+    Lost(String),
+    /// The server said no.
+    #[error("the server refused us ({refusal:?}): {reason}")]
+    Refused {
+        /// Why, for programs.
+        refusal: eyeline_protocol::Refusal,
+        /// Why, for people.
+        reason: String,
+    },
+    /// The server said something that makes no sense.
+    #[error("the server said something that makes no sense: {0}")]
+    ServerFault(#[from] eyeline_protocol::codec::DecodeError),
+    /// The model is not the one that was announced.
+    #[error("the world that arrived is not the one that was announced (its hash differs); try again")]
+    WrongWorld,
+    /// TLS can't be set up.
+    #[error("cannot set up TLS: {0}")]
+    Tls(#[from] rustls::Error),
+}
+
+/// A process's own clock.
+#[derive(Clone, Copy, Debug)]
+pub struct LocalClock {
+    epoch: Instant,
+}
+
+impl Default for LocalClock {
+    fn default() -> LocalClock {
+        LocalClock { epoch: Instant::now() }
+    }
+}
+
+impl LocalClock {
+    /// The time now.
+    pub fn now(&self) -> LocalTime {
+        LocalTime::ZERO + self.epoch.elapsed()
+    }
+
+    /// When the clock will show `time`.
+    pub fn instant(&self, time: LocalTime) -> Instant {
+        self.epoch + time.since(LocalTime::ZERO)
+    }
+}
+
+/// A socket that any number of connections share, to servers with one fingerprint.
+pub struct Endpoint {
+    endpoint: quinn::Endpoint,
+}
+
+impl Endpoint {
+    /// A socket for connections to servers whose certificate has this fingerprint. Needs a tokio runtime around it.
+    ///
+    /// # Errors
+    /// If there is no socket to be had.
+    pub fn new(fingerprint: Fingerprint, remote: SocketAddr) -> Result<Endpoint, NetError> {
+        let provider = Arc::new(rustls::crypto::ring::default_provider());
+        let mut tls = rustls::ClientConfig::builder_with_provider(provider.clone())
+            .with_protocol_versions(&[&rustls::version::TLS13])?
+            .dangerous()
+            .with_custom_certificate_verifier(Arc::new(pin::Pinned::new(fingerprint, provider)))
+            .with_no_client_auth();
+        tls.alpn_protocols = vec![ALPN.to_vec()];
+        let quic = QuicClientConfig::try_from(tls).map_err(|error| NetError::Lost(error.to_string()))?;
+        let mut config = quinn::ClientConfig::new(Arc::new(quic));
+        config.transport_config(Arc::new(transport()));
+        let any: SocketAddr = match (remote, remote.ip().is_loopback()) {
+            (SocketAddr::V4(_), true) => (std::net::Ipv4Addr::LOCALHOST, 0).into(),
+            (SocketAddr::V4(_), false) => (std::net::Ipv4Addr::UNSPECIFIED, 0).into(),
+            (SocketAddr::V6(_), true) => (std::net::Ipv6Addr::LOCALHOST, 0).into(),
+            (SocketAddr::V6(_), false) => (std::net::Ipv6Addr::UNSPECIFIED, 0).into(),
+        };
+        let socket = socket(any)?;
+        let runtime = Arc::new(quinn::TokioRuntime);
+        let mut endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), None, socket, runtime)?;
+        endpoint.set_default_client_config(config);
+        Ok(Endpoint { endpoint })
+    }
+
+    /// Connects `session` to the server at `address` and waits until it is welcome.
+    ///
+    /// # Errors
+    /// If there is no server, it is another one than was pinned, or it does not let us in.
+    pub async fn connect(
+        &self,
+        address: SocketAddr,
+        session: Session,
+        clock: LocalClock,
+    ) -> Result<Connection, NetError> {
+        let connecting =
+            self.endpoint.connect(address, "eyeline").map_err(|source| NetError::Connect { address, source })?;
+        let connection = connecting.await.map_err(|error| {
+            let reason = match &error {
+                quinn::ConnectionError::TimedOut => "nothing answers there; is the server running?".to_owned(),
+                other => other.to_string(),
+            };
+            NetError::Handshake { address, reason }
+        })?;
+        let (send, receive) = connection.open_bi().await.map_err(|error| NetError::Lost(error.to_string()))?;
+        let mut connection = Connection {
+            quic: connection,
+            send,
+            receive,
+            reader: ControlReader::default(),
+            session,
+            clock,
+            dropped: 0,
+        };
+        connection.flush().await?;
+        while connection.session.welcome().is_none() {
+            connection.wait_control().await?;
+        }
+        Ok(connection)
+    }
+
+    /// Waits until every connection has said goodbye.
+    pub async fn wait_idle(&self) {
+        let _ = tokio::time::timeout(Duration::from_secs(2), self.endpoint.wait_idle()).await;
+    }
+}
+
+/// One client's connection and its session.
+pub struct Connection {
+    quic: quinn::Connection,
+    send: quinn::SendStream,
+    receive: quinn::RecvStream,
+    reader: ControlReader,
+    /// What the client believes, and what it has to say.
+    pub session: Session,
+    clock: LocalClock,
+    dropped: u64,
+}
+
+/// Something arrived.
+pub enum Arrival {
+    /// A datagram; hand it to [`Session::handle_datagram`].
+    Datagram(Bytes),
+    /// Control bytes, handled already.
+    Control,
+}
+
+impl Connection {
+    /// The process's clock.
+    pub fn clock(&self) -> LocalClock {
+        self.clock
+    }
+
+    /// Sends whatever the session has to say.
+    ///
+    /// # Errors
+    /// If the connection is gone.
+    pub async fn flush(&mut self) -> Result<(), NetError> {
+        while let Some(bytes) = self.session.poll_control() {
+            self.send.write_all(&bytes).await.map_err(|error| NetError::Lost(error.to_string()))?;
+        }
+        self.flush_datagrams();
+        Ok(())
+    }
+
+    /// Sends the datagrams that the session has to say; never waits.
+    pub fn flush_datagrams(&mut self) {
+        let Some(limit) = self.quic.max_datagram_size() else { return };
+        while let Some(bytes) = self.session.poll_datagram(limit, self.clock.now()) {
+            if self.quic.send_datagram(Bytes::from(bytes)).is_err() {
+                self.dropped += 1;
+            }
+        }
+    }
+
+    /// Sends what an answer has raised and should not wait for the next frame; never waits.
+    pub fn flush_urgent(&mut self) {
+        let Some(limit) = self.quic.max_datagram_size() else { return };
+        while let Some(bytes) = self.session.poll_urgent(limit, self.clock.now()) {
+            if self.quic.send_datagram(Bytes::from(bytes)).is_err() {
+                self.dropped += 1;
+            }
+        }
+    }
+
+    /// Waits for something to arrive. Safe to drop and call again.
+    ///
+    /// # Errors
+    /// If the connection is gone, or the server says so.
+    pub async fn arrive(&mut self) -> Result<Arrival, NetError> {
+        tokio::select! {
+            datagram = self.quic.read_datagram() => {
+                datagram.map(Arrival::Datagram).map_err(|error| NetError::Lost(error.to_string()))
+            }
+            chunk = self.receive.read_chunk(16 * 1024, true) => {
+                let chunk = chunk.map_err(|error| NetError::Lost(error.to_string()))?;
+                let Some(chunk) = chunk else { return Err(NetError::Lost("the server closed its stream".into())) };
+                self.reader.push(&chunk.bytes);
+                self.take_control()?;
+                Ok(Arrival::Control)
+            }
+        }
+    }
+
+    async fn wait_control(&mut self) -> Result<(), NetError> {
+        // Datagrams can't be of use before the welcome; they stay in quinn's buffer.
+        let chunk =
+            self.receive.read_chunk(16 * 1024, true).await.map_err(|error| NetError::Lost(error.to_string()))?;
+        let Some(chunk) = chunk else { return Err(NetError::Lost("the server closed its stream".into())) };
+        self.reader.push(&chunk.bytes);
+        self.take_control()
+    }
+
+    fn take_control(&mut self) -> Result<(), NetError> {
+        while let Some(message) = self.reader.next_message()? {
+            self.session.handle_control(&message);
+        }
+        while let Some(event) = self.session.poll_event() {
+            match event {
+                Event::Welcomed(_) => {}
+                Event::Refused { refusal, reason } => return Err(NetError::Refused { refusal, reason }),
+                Event::ServerFault(error) => return Err(error.into()),
+            }
+        }
+        Ok(())
+    }
+
+    /// Fetches the model's bytes, checked against the hash in the welcome.
+    ///
+    /// # Errors
+    /// If they do not arrive, or are others.
+    pub async fn fetch_world(&mut self) -> Result<Vec<u8>, NetError> {
+        let info = match self.session.welcome() {
+            Some(welcome) => welcome.world.clone(),
+            None => return Err(NetError::Lost("no welcome yet".into())),
+        };
+        self.session.want_world();
+        self.flush().await?;
+        let limit = usize::try_from(info.size_bytes).unwrap_or(usize::MAX).min(WORLD_BYTES_MAX);
+        let lost = |error: &dyn std::fmt::Display| NetError::Lost(error.to_string());
+        let mut stream = self.quic.accept_uni().await.map_err(|error| lost(&error))?;
+        let bytes = stream.read_to_end(limit).await.map_err(|error| lost(&error))?;
+        let digest = ring::digest::digest(&ring::digest::SHA256, &bytes);
+        if digest.as_ref() == info.hash { Ok(bytes) } else { Err(NetError::WrongWorld) }
+    }
+
+    /// UDP datagrams and bytes sent and received: (sent, sent bytes, received, received bytes).
+    pub fn udp(&self) -> (u64, u64, u64, u64) {
+        let stats = self.quic.stats();
+        (stats.udp_tx.datagrams, stats.udp_tx.bytes, stats.udp_rx.datagrams, stats.udp_rx.bytes)
+    }
+
+    /// Says goodbye and closes.
+    pub async fn close(mut self) {
+        self.session.leave();
+        let _ = self.flush().await;
+        self.quic.close(0u32.into(), b"goodbye");
+    }
+}
+
+/// Largest model that is fetched: 1 GiB.
+const WORLD_BYTES_MAX: usize = 1 << 30;
+
+fn transport() -> quinn::TransportConfig {
+    let mut transport = quinn::TransportConfig::default();
+    transport
+        .max_concurrent_bidi_streams(0u32.into())
+        .max_concurrent_uni_streams(2u32.into())
+        .max_idle_timeout(Some(quinn::IdleTimeout::from(quinn::VarInt::from_u32(10_000))))
+        .keep_alive_interval(Some(Duration::from_secs(4)))
+        .datagram_receive_buffer_size(Some(256 * 1024))
+        .datagram_send_buffer_size(16 * 1024)
+        .mtu_discovery_config(None);
+    transport
+}
+
+fn socket(address: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
+    let socket = socket2::Socket::new(
+        socket2::Domain::for_address(address),
+        socket2::Type::DGRAM,
+        Some(socket2::Protocol::UDP),
+    )?;
+    let _ = socket.set_recv_buffer_size(4 << 20);
+    let _ = socket.set_send_buffer_size(1 << 20);
+    socket.set_nonblocking(true)?;
+    socket.bind(&address.into())?;
+    Ok(socket.into())
+}

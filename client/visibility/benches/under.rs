@@ -1,0 +1,90 @@
+//! Whole all-round culls and single questions, in a building of 10×10 rooms with tables.
+//! `cargo bench -p eyeline-visibility --bench under`
+
+#[path = "../tests/under_support/mod.rs"]
+mod under_support;
+
+use divan::{Bencher, black_box};
+use eyeline_visibility::{Aabb, AllRound, Bound, EyeRegion, Occlusion, Sides};
+use glam::DVec3;
+use rand::SeedableRng;
+use rand_pcg::Pcg64;
+use under_support::{Corners, random_eye, rooms};
+
+fn main() {
+    let mut rng = Pcg64::seed_from_u64(7);
+    for corners in [Corners::Abut, Corners::Overlap] {
+        let scene = rooms(10, corners, Sides::Both, 0.0, &mut rng);
+        let all_round = AllRound::new(&scene);
+        let mut scratch = all_round.scratch(128);
+        let eyes = 200;
+        let mut sum = [0; 5];
+        for _ in 0..eyes {
+            all_round.cull(EyeRegion::point(random_eye(10, 0.0, &mut rng)), &mut scratch).unwrap();
+            let stats = scratch.stats();
+            for (sum, value) in
+                sum.iter_mut().zip([stats.queries, stats.hidden, stats.leaves, stats.polygons, stats.joints])
+            {
+                *sum += value;
+            }
+        }
+        let mean = sum.map(|sum| sum as f64 / f64::from(eyes));
+        println!(
+            "{corners:?}: {} triangles, {} polygons, {} joints; per cull {:.0} queries ({:.0} hidden), {:.0} leaves, {:.0} polygons, {:.0} joints",
+            scene.triangles().len(),
+            all_round.occluders().len(),
+            all_round.occluders().joint_count(),
+            mean[0],
+            mean[1],
+            mean[2],
+            mean[3],
+            mean[4],
+        );
+    }
+    divan::main();
+}
+
+/// One cull from the next of 64 eyes.
+#[divan::bench(args = [64, 128, 256])]
+fn cull_abut(bencher: Bencher, side: u32) {
+    cull(bencher, Corners::Abut, side);
+}
+
+#[divan::bench(args = [64, 128, 256])]
+fn cull_overlap(bencher: Bencher, side: u32) {
+    cull(bencher, Corners::Overlap, side);
+}
+
+fn cull(bencher: Bencher, corners: Corners, side: u32) {
+    let mut rng = Pcg64::seed_from_u64(7);
+    let scene = rooms(10, corners, Sides::Both, 0.0, &mut rng);
+    let all_round = AllRound::new(&scene);
+    let eyes: Vec<DVec3> = (0..64).map(|_| random_eye(10, 0.0, &mut rng)).collect();
+    let mut scratch = all_round.scratch(side);
+    let mut next = 0;
+    bencher.bench_local(|| {
+        next = (next + 1) % eyes.len();
+        all_round.cull(EyeRegion::point(black_box(eyes[next])), &mut scratch).unwrap();
+    });
+}
+
+/// 1,000 questions about avatars anywhere in the building.
+#[divan::bench(args = ["box", "sphere"])]
+fn hides_1000(bencher: Bencher, shape: &str) {
+    let mut rng = Pcg64::seed_from_u64(8);
+    let scene = rooms(10, Corners::Abut, Sides::Both, 0.0, &mut rng);
+    let all_round = AllRound::new(&scene);
+    let mut scratch = all_round.scratch(128);
+    let eye = random_eye(10, 0.0, &mut rng);
+    let occlusion = all_round.cull(EyeRegion::point(eye), &mut scratch).unwrap();
+    let bounds: Vec<Bound> = (0..1000)
+        .map(|_| {
+            let centre = random_eye(10, 0.0, &mut rng).with_y(0.9);
+            match shape {
+                "box" => Bound::Box(Aabb::around(centre, DVec3::new(0.3, 0.88, 0.3))),
+                _ => Bound::Sphere { centre, radius: 0.88 },
+            }
+        })
+        .collect();
+    bencher.bench_local(|| bounds.iter().filter(|bound| occlusion.hides(black_box(bound))).count());
+}

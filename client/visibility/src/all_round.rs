@@ -1,0 +1,170 @@
+//! The whole job of a headless client's occlusion: from an eye, draw what is near and skip what is already hidden.
+//!
+//! A tree of boxes over the occluders is walked nearer child first; a node whose box is hidden is skipped with all that is
+//! in it. The tree and the polygons are shared by every client of a scene; a worker owns one scratch.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+
+use crate::occluders::Occluders;
+use crate::under::{RegionError, UnderOcclusion};
+use crate::{Aabb, Bound, EyeRegion, Occlusion, Scene};
+
+/// A scene's occluders in a tree, ready to be looked at from anywhere. Never changes once made.
+#[derive(Debug)]
+pub struct AllRound {
+    occluders: Arc<Occluders>,
+    nodes: Vec<Node>,
+    /// Polygons, leaf by leaf.
+    order: Vec<u32>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    aabb: Aabb,
+    /// For a leaf its range in `order`; else the index of the second child (the first follows at once) and 0.
+    first: u32,
+    count: u32,
+}
+
+/// What one worker needs to cull: the image and a stack. The image keeps the last eye's occlusion.
+pub struct AllRoundScratch {
+    occlusion: UnderOcclusion,
+    stack: Vec<u32>,
+    stats: AllRoundStats,
+}
+
+/// Work done by one cull.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AllRoundStats {
+    /// Boxes of nodes and polygons that were asked about.
+    pub queries: u64,
+    /// Of these, those that were hidden.
+    pub hidden: u64,
+    /// Leaves that were opened.
+    pub leaves: u64,
+    /// Polygons that were drawn.
+    pub polygons: u64,
+    /// Joints that were drawn.
+    pub joints: u64,
+}
+
+/// A query costs about a quarter of drawing a polygon, so a leaf holds a few.
+const LEAF_MAX: usize = 4;
+
+impl AllRound {
+    /// Prepares a scene.
+    pub fn new(scene: &Scene) -> AllRound {
+        AllRound::from_occluders(Arc::new(Occluders::build(scene)))
+    }
+
+    /// Prepares given occluders.
+    pub fn from_occluders(occluders: Arc<Occluders>) -> AllRound {
+        let mut order: Vec<u32> = (0..occluders.len() as u32).collect();
+        let mut nodes = Vec::new();
+        if !order.is_empty() {
+            build(&occluders, &mut order, 0, &mut nodes);
+        }
+        AllRound { occluders, nodes, order }
+    }
+
+    /// The occluders, for an [`UnderOcclusion`] of one's own.
+    pub fn occluders(&self) -> &Arc<Occluders> {
+        &self.occluders
+    }
+
+    /// Scratch for one worker, with cube faces of `side` pixels. 128 is a good choice.
+    pub fn scratch(&self, side: u32) -> AllRoundScratch {
+        AllRoundScratch {
+            occlusion: UnderOcclusion::all_round(Arc::clone(&self.occluders), side),
+            stack: Vec::new(),
+            stats: AllRoundStats::default(),
+        }
+    }
+
+    /// Draws what can be seen from `region`. The result hides only what is certainly hidden.
+    pub fn cull<'a>(
+        &self,
+        region: EyeRegion,
+        scratch: &'a mut AllRoundScratch,
+    ) -> Result<&'a UnderOcclusion, RegionError> {
+        assert!(Arc::ptr_eq(&self.occluders, scratch.occlusion.occluders()), "scratch was made for another scene");
+        scratch.occlusion.start(region)?;
+        scratch.stats = AllRoundStats::default();
+        self.walk(region.centre, scratch);
+        let drawn = scratch.occlusion.stats();
+        scratch.stats.polygons = drawn.polygons;
+        scratch.stats.joints = drawn.joints;
+        Ok(&scratch.occlusion)
+    }
+
+    fn walk(&self, eye: DVec3, scratch: &mut AllRoundScratch) {
+        let AllRoundScratch { occlusion, stack, stats } = scratch;
+        let mut hidden = |occlusion: &UnderOcclusion, aabb: &Aabb| {
+            let hidden = occlusion.hides(&Bound::Box(*aabb));
+            stats.queries += 1;
+            stats.hidden += u64::from(hidden);
+            hidden
+        };
+        stack.clear();
+        if !self.nodes.is_empty() {
+            stack.push(0);
+        }
+        while let Some(index) = stack.pop() {
+            let node = &self.nodes[index as usize];
+            if hidden(occlusion, &node.aabb) {
+                continue;
+            }
+            if node.count == 0 {
+                let (first, second) = (index + 1, node.first);
+                let distance = |child: u32| {
+                    let aabb = &self.nodes[child as usize].aabb;
+                    (eye.clamp(aabb.min, aabb.max).distance_squared(eye), aabb.centre().distance_squared(eye))
+                };
+                let pair = if distance(first) <= distance(second) { [second, first] } else { [first, second] };
+                stack.extend(pair);
+                continue;
+            }
+            for &polygon in &self.order[node.first as usize..(node.first + node.count) as usize] {
+                if node.count == 1 || !hidden(occlusion, &self.occluders.polygons[polygon as usize].aabb) {
+                    occlusion.draw_polygon(polygon);
+                }
+            }
+            stats.leaves += 1;
+        }
+    }
+}
+
+impl AllRoundScratch {
+    /// What the last cull took.
+    pub fn stats(&self) -> AllRoundStats {
+        self.stats
+    }
+
+    /// The last cull's occlusion.
+    pub fn occlusion(&self) -> &UnderOcclusion {
+        &self.occlusion
+    }
+}
+
+/// Splits `order` (which starts at `first` of the whole) at the median of the longest axis of the boxes' middles.
+fn build(occluders: &Occluders, order: &mut [u32], first: usize, nodes: &mut Vec<Node>) {
+    let aabb_of = |polygon: u32| occluders.polygons[polygon as usize].aabb;
+    let aabb = order.iter().fold(Aabb::EMPTY, |aabb, &polygon| aabb.union(&aabb_of(polygon)));
+    let index = nodes.len();
+    nodes.push(Node { aabb, first: first as u32, count: order.len() as u32 });
+    if order.len() <= LEAF_MAX {
+        return;
+    }
+    let middles = order.iter().fold(Aabb::EMPTY, |aabb, &polygon| aabb.with_point(aabb_of(polygon).centre()));
+    let size = middles.size();
+    let axis = (0..3).fold(0, |best, axis| if size[axis] > size[best] { axis } else { best });
+    let key = |polygon: u32| aabb_of(polygon).centre()[axis];
+    order.sort_by(|&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
+    let half = order.len() / 2;
+    let (left, right) = order.split_at_mut(half);
+    build(occluders, left, first, nodes);
+    nodes[index] = Node { aabb, first: nodes.len() as u32, count: 0 };
+    build(occluders, right, first + half, nodes);
+}

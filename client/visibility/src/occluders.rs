@@ -1,0 +1,455 @@
+//! Which polygons of a scene are worth drawing as occluders, and which of them join without a gap?
+//!
+//! A pixel counts as covered only if one occluder covers all of it, so every line at which two triangles meet would
+//! leak. Two remedies, both prepared here once per scene:
+//! - **merging**: coplanar triangles that share an edge become one convex polygon, so a wall's diagonal is gone;
+//! - **joints**: pairs of polygons whose borders run along the same line (the corner of a room, a lintel between two
+//!   pieces of wall). [`crate::UnderOcclusion`] draws the strip along a joint once both its polygons are drawn.
+//!
+//! # Why no tolerance can make an occluder too large
+//! A polygon is a triangulated disc: triangles glued along exactly shared edges (bitwise equal corners), bounded by one
+//! closed loop of original corners. Seen from the eye, let a direction d lie on the inner side of every edge of the
+//! loop, where "inner" is the side det(next, this, d) > 0. Then every edge turns around the axis d by an angle in
+//! (0, π), so the loop winds around d at least once, and a disc that is bounded by it must be pierced at least once from
+//! its front side (the sum of the signs of all piercings is the winding number). This needs neither planarity nor
+//! convexity: a loop that is not quite convex merely yields a smaller intersection of half-planes. Depth is taken from
+//! the farther of two parallel planes that enclose all corners. So both tolerances below only cost tightness. The one
+//! step that could enlarge a polygon, dropping a corner in the middle of a straight edge, is taken only where the
+//! cross product is exactly 0.
+
+use std::collections::HashMap;
+
+use glam::{DVec3, Vec3};
+
+use crate::{Aabb, Scene, Sides};
+
+/// One occluder: a loop of corners, anticlockwise from its front.
+#[derive(Clone, Debug)]
+pub(crate) struct Polygon {
+    /// Range in [`Occluders::corners`].
+    pub first: u32,
+    /// Number of corners, at least 3.
+    pub count: u32,
+    /// Range in [`Occluders::joint_lists`].
+    pub joints: std::ops::Range<u32>,
+    /// Whether it hides from behind too.
+    pub two_sided: bool,
+    /// Unit normal of the loop (Newell).
+    pub normal: DVec3,
+    pub aabb: Aabb,
+}
+
+/// Two polygons whose borders share a stretch of one line.
+#[derive(Clone, Debug)]
+pub(crate) struct Joint {
+    pub polygons: [u32; 2],
+    /// Which edge of each polygon (from corner i to i + 1) lies on the line.
+    pub edges: [u32; 2],
+    /// Whether the two edges run in opposite directions, as they do when two fronts meet.
+    pub opposite: bool,
+    /// The shared stretch.
+    pub ends: [DVec3; 2],
+}
+
+/// What of a scene can hide something, prepared for [`crate::UnderOcclusion`]. Never changes once made.
+#[derive(Clone, Debug)]
+pub struct Occluders {
+    pub(crate) corners: Vec<Vec3>,
+    pub(crate) polygons: Vec<Polygon>,
+    pub(crate) joints: Vec<Joint>,
+    /// Indices into `joints`, polygon by polygon.
+    pub(crate) joint_lists: Vec<u32>,
+    /// Polygon of each primitive, or `NONE`.
+    polygon_of: Vec<u32>,
+}
+
+pub(crate) const NONE: u32 = u32::MAX;
+
+/// A strip narrower than this covers a whole pixel of a 128 px cube face only within 2.5 m (its pixel is z/64 wide), where
+/// something larger nearly always does too.
+const DEFAULT_WIDTH_MIN: f64 = 0.04;
+
+/// Corners may be this far from the polygon's plane, as a share of its size. Costs tightness of depth only.
+const FLATNESS: f64 = 1e-5;
+
+/// A corner may turn inward by this sine. Costs the sliver outside the longer edge's line only.
+const CONVEXITY: f64 = 1e-7;
+
+/// More corners than this are not merged: each costs a half-plane per row of pixels.
+const CORNERS_MAX: usize = 12;
+
+/// A joint shorter than this is not kept, for the reason of [`DEFAULT_WIDTH_MIN`].
+const JOINT_MIN: f64 = 0.1;
+
+impl Occluders {
+    /// The occluders of `scene`, without strips narrower than 4 cm.
+    pub fn build(scene: &Scene) -> Occluders {
+        Occluders::build_with(scene, DEFAULT_WIDTH_MIN)
+    }
+
+    /// The occluders of `scene` that are at least `width_min` metres wide.
+    pub fn build_with(scene: &Scene, width_min: f64) -> Occluders {
+        let mut loops = Loops::new(scene);
+        loops.merge();
+        loops.finish(scene.triangles().len(), width_min)
+    }
+
+    /// Number of polygons.
+    pub fn len(&self) -> usize {
+        self.polygons.len()
+    }
+
+    /// Whether nothing can hide anything.
+    pub fn is_empty(&self) -> bool {
+        self.polygons.is_empty()
+    }
+
+    /// Number of pairs of polygons that join along a line.
+    pub fn joint_count(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// The polygon that contains a primitive, if it is an occluder.
+    pub fn polygon_of(&self, primitive: u32) -> Option<u32> {
+        self.polygon_of.get(primitive as usize).copied().filter(|&polygon| polygon != NONE)
+    }
+
+    /// The corners of a polygon, anticlockwise from its front.
+    pub fn corners(&self, polygon: u32) -> &[Vec3] {
+        let Polygon { first, count, .. } = self.polygons[polygon as usize];
+        &self.corners[first as usize..(first + count) as usize]
+    }
+}
+
+/// The polygons while they are being merged.
+struct Loops {
+    positions: Vec<Vec3>,
+    loops: Vec<Loop>,
+}
+
+struct Loop {
+    corners: Vec<u32>,
+    primitives: Vec<u32>,
+    sides: Sides,
+    normal: DVec3,
+}
+
+impl Loops {
+    /// One loop per occluding triangle of non-zero area.
+    fn new(scene: &Scene) -> Loops {
+        let mut ids = HashMap::new();
+        let mut positions = Vec::new();
+        let mut loops = Vec::new();
+        for (primitive, triangle) in scene.triangles().iter().enumerate() {
+            if !triangle.occludes {
+                continue;
+            }
+            let corners = triangle.corners.map(|corner| {
+                // Adding 0 turns −0 into 0, so that equal corners have equal bits.
+                let corner = corner + Vec3::ZERO;
+                *ids.entry(corner.to_array().map(f32::to_bits)).or_insert_with(|| {
+                    positions.push(corner);
+                    positions.len() as u32 - 1
+                })
+            });
+            let Some(normal) = newell(&positions, &corners).try_normalize() else { continue };
+            loops.push(Loop {
+                corners: corners.to_vec(),
+                primitives: vec![primitive as u32],
+                sides: triangle.sides,
+                normal,
+            });
+        }
+        Loops { positions, loops }
+    }
+
+    fn at(&self, corner: u32) -> DVec3 {
+        self.positions[corner as usize].as_dvec3()
+    }
+
+    /// Merges greedily across the longest edges first: those are the diagonals of quads.
+    fn merge(&mut self) {
+        let mut owner: HashMap<(u32, u32), u32> = HashMap::new();
+        for (index, polygon) in self.loops.iter().enumerate() {
+            for edge in edges(&polygon.corners) {
+                owner.entry(edge).or_insert(index as u32);
+            }
+        }
+        let mut shared: Vec<(u32, u32)> = self
+            .loops
+            .iter()
+            .flat_map(|polygon| edges(&polygon.corners).collect::<Vec<_>>())
+            .filter(|&(a, b)| a < b && owner.contains_key(&(b, a)))
+            .collect();
+        shared.sort_by(|&(a, b), &(c, d)| {
+            let length = |a, b| self.at(a).distance_squared(self.at(b));
+            length(c, d).total_cmp(&length(a, b)).then((a, b).cmp(&(c, d)))
+        });
+        shared.dedup();
+        // A merge can make another one possible (two halves of a square, then two squares): a few rounds settle it.
+        for _round in 0..6 {
+            let before = shared.len();
+            shared.retain(|&(a, b)| {
+                let (Some(&p), Some(&q)) = (owner.get(&(a, b)), owner.get(&(b, a))) else { return false };
+                let Some(joined) = self.joined(p, q, (a, b)) else { return p != q };
+                for edge in edges(&self.loops[p as usize].corners).chain(edges(&self.loops[q as usize].corners)) {
+                    if owner.get(&edge).is_some_and(|&index| index == p || index == q) {
+                        owner.remove(&edge);
+                    }
+                }
+                for edge in edges(&joined) {
+                    owner.entry(edge).or_insert(p);
+                }
+                let primitives = std::mem::take(&mut self.loops[q as usize].primitives);
+                self.loops[q as usize].corners.clear();
+                let normal = newell(&self.positions, &joined).normalize();
+                let polygon = &mut self.loops[p as usize];
+                polygon.primitives.extend(primitives);
+                polygon.corners = joined;
+                polygon.normal = normal;
+                false
+            });
+            if shared.len() == before {
+                break;
+            }
+        }
+    }
+
+    /// The loop around `p` and `q`, which share the edge that runs `a` → `b` in `p`, if it is flat, convex and simple.
+    fn joined(&self, p: u32, q: u32, (a, b): (u32, u32)) -> Option<Vec<u32>> {
+        if p == q {
+            return None;
+        }
+        let (p, q) = (&self.loops[p as usize], &self.loops[q as usize]);
+        if p.sides != q.sides || p.normal.dot(q.normal) < 0.999 {
+            return None;
+        }
+        let start = |corners: &[u32], corner| corners.iter().position(|&c| c == corner);
+        // p from b round to a, then q from after a to before b.
+        let from_b = start(&p.corners, b)?;
+        let from_a = start(&q.corners, a)?;
+        let mut corners: Vec<u32> = p.corners[from_b..].iter().chain(&p.corners[..from_b]).copied().collect();
+        corners.extend(q.corners[from_a..].iter().chain(&q.corners[..from_a]).skip(1).take(q.corners.len() - 2));
+        // Further shared edges next to the first: x, y, x is out and back again, so y is inside now.
+        loop {
+            let n = corners.len();
+            if n < 3 {
+                return None;
+            }
+            let Some(i) = (0..n).find(|&i| corners[i] == corners[(i + 2) % n]) else { break };
+            let (j, k) = ((i + 1) % n, (i + 2) % n);
+            corners.remove(j.max(k));
+            corners.remove(j.min(k));
+        }
+        let mut sorted = corners.clone();
+        sorted.sort_unstable();
+        if sorted.windows(2).any(|pair| pair[0] == pair[1]) {
+            return None;
+        }
+        let normal = newell(&self.positions, &corners).try_normalize()?;
+        let reach: Vec<DVec3> = corners.iter().map(|&c| self.at(c)).collect();
+        let size = reach.iter().map(|c| c.distance(reach[0])).fold(0.0, f64::max);
+        let coordinate = reach.iter().map(|c| c.abs().max_element()).fold(0.0, f64::max);
+        let flatness = FLATNESS * size + 2.0 * f64::from(f32::EPSILON) * coordinate;
+        let heights = || reach.iter().map(|c| normal.dot(*c - reach[0]));
+        if heights().fold(0.0, f64::max) - heights().fold(0.0, f64::min) > flatness {
+            return None;
+        }
+        let n = reach.len();
+        let mut turns = 0;
+        for i in 0..n {
+            let (u, v) = (reach[(i + 1) % n] - reach[i], reach[(i + 2) % n] - reach[(i + 1) % n]);
+            let cross = u.cross(v);
+            let sine = cross.dot(normal) / (u.length() * v.length());
+            if sine < -CONVEXITY || (sine.abs() <= CONVEXITY && u.dot(v) < 0.0) {
+                return None;
+            }
+            turns += usize::from(cross != DVec3::ZERO);
+        }
+        (turns <= CORNERS_MAX).then_some(corners)
+    }
+
+    fn finish(self, primitives: usize, width_min: f64) -> Occluders {
+        let mut occluders = Occluders {
+            corners: Vec::new(),
+            polygons: Vec::new(),
+            joints: Vec::new(),
+            joint_lists: Vec::new(),
+            polygon_of: vec![NONE; primitives],
+        };
+        for polygon in &self.loops {
+            let corners =
+                without_straight_corners(polygon.corners.iter().map(|&c| self.positions[c as usize]).collect());
+            if corners.len() < 3 || width(&corners) < width_min {
+                continue;
+            }
+            for &primitive in &polygon.primitives {
+                occluders.polygon_of[primitive as usize] = occluders.polygons.len() as u32;
+            }
+            occluders.polygons.push(Polygon {
+                first: occluders.corners.len() as u32,
+                count: corners.len() as u32,
+                joints: 0..0,
+                two_sided: polygon.sides == Sides::Both,
+                normal: polygon.normal,
+                aabb: corners.iter().fold(Aabb::EMPTY, |aabb, corner| aabb.with_point(corner.as_dvec3())),
+            });
+            occluders.corners.extend(corners);
+        }
+        occluders.find_joints();
+        occluders
+    }
+}
+
+impl Occluders {
+    fn find_joints(&mut self) {
+        // Edges by the line that they lie on. Only lines that are *exactly* the same count: those through the same two
+        // corners, and those parallel to an axis with the same other two coordinates (where pieces of wall of different
+        // length meet).
+        let mut lines: std::collections::BTreeMap<[u32; 6], Vec<EdgeOnLine>> = std::collections::BTreeMap::new();
+        for polygon in 0..self.polygons.len() as u32 {
+            let corners = self.corners(polygon);
+            for (edge, from) in corners.iter().enumerate() {
+                let to = corners[(edge + 1) % corners.len()];
+                let (low, high) = if from.to_array() < to.to_array() { (*from, to) } else { (to, *from) };
+                let along = (to - *from).abs();
+                let moves: Vec<usize> = (0..3).filter(|&axis| along[axis] != 0.0).collect();
+                let mut key = [0; 6];
+                if let [axis] = moves[..] {
+                    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+                    key = [u32::MAX, u32::MAX, u32::MAX, axis as u32, low[u].to_bits(), low[v].to_bits()];
+                } else {
+                    key[..3].copy_from_slice(&low.to_array().map(f32::to_bits));
+                    key[3..].copy_from_slice(&high.to_array().map(f32::to_bits));
+                }
+                let forward = low == *from;
+                lines.entry(key).or_default().push(EdgeOnLine { polygon, edge: edge as u32, low, high, forward });
+            }
+        }
+        for edges in lines.values_mut() {
+            edges.sort_by(|a, b| a.low.to_array().partial_cmp(&b.low.to_array()).expect("corners are finite"));
+            for (i, a) in edges.iter().enumerate() {
+                for b in &edges[i + 1..] {
+                    if b.low.to_array() >= a.high.to_array() {
+                        break;
+                    }
+                    let high = if a.high.to_array() < b.high.to_array() { a.high } else { b.high };
+                    if a.polygon == b.polygon || f64::from(high.distance(b.low)) < JOINT_MIN {
+                        continue;
+                    }
+                    self.joints.push(Joint {
+                        polygons: [a.polygon, b.polygon],
+                        edges: [a.edge, b.edge],
+                        opposite: a.forward != b.forward,
+                        ends: [b.low.as_dvec3(), high.as_dvec3()],
+                    });
+                }
+            }
+        }
+        let mut lists = vec![Vec::new(); self.polygons.len()];
+        for (index, joint) in self.joints.iter().enumerate() {
+            for polygon in joint.polygons {
+                lists[polygon as usize].push(index as u32);
+            }
+        }
+        for (polygon, list) in self.polygons.iter_mut().zip(lists) {
+            let first = self.joint_lists.len() as u32;
+            self.joint_lists.extend(list);
+            polygon.joints = first..self.joint_lists.len() as u32;
+        }
+    }
+}
+
+struct EdgeOnLine {
+    polygon: u32,
+    edge: u32,
+    low: Vec3,
+    high: Vec3,
+    forward: bool,
+}
+
+fn edges(corners: &[u32]) -> impl Iterator<Item = (u32, u32)> + '_ {
+    corners.iter().copied().zip(corners.iter().copied().cycle().skip(1))
+}
+
+/// Twice the area vector of a loop.
+fn newell(positions: &[Vec3], corners: &[u32]) -> DVec3 {
+    let at = |corner: u32| positions[corner as usize].as_dvec3();
+    let origin = at(corners[0]);
+    corners.windows(2).map(|pair| (at(pair[0]) - origin).cross(at(pair[1]) - origin)).sum()
+}
+
+/// Drops corners between two edges of exactly the same direction. Differences of f32 are exact in f64 unless their
+/// exponents differ by more than 29, and products of two of them round by 2⁻⁵³ at most: far below the inset of 10⁻⁴
+/// pixel that every edge gets.
+fn without_straight_corners(corners: Vec<Vec3>) -> Vec<Vec3> {
+    let n = corners.len();
+    (0..n)
+        .filter(|&i| {
+            let at = |i: usize| corners[i % n].as_dvec3();
+            let (u, v) = (at(i) - at(i + n - 1), at(i + 1) - at(i));
+            u.cross(v) != DVec3::ZERO || u.dot(v) <= 0.0
+        })
+        .map(|i| corners[i])
+        .collect()
+}
+
+/// Least extent of a convex loop perpendicular to one of its edges, in its plane.
+fn width(corners: &[Vec3]) -> f64 {
+    let n = corners.len();
+    (0..n)
+        .map(|i| {
+            let (from, to) = (corners[i].as_dvec3(), corners[(i + 1) % n].as_dvec3());
+            let Some(along) = (to - from).try_normalize() else { return 0.0 };
+            corners.iter().map(|c| (c.as_dvec3() - from).reject_from_normalized(along).length()).fold(0.0, f64::max)
+        })
+        .fold(f64::INFINITY, f64::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Triangle;
+
+    fn triangle(corners: [[f32; 3]; 3]) -> Triangle {
+        Triangle { corners: corners.map(Vec3::from), sides: Sides::Both, occludes: true }
+    }
+
+    #[test]
+    fn a_grid_of_squares_becomes_one_quad() {
+        let mut triangles = Vec::new();
+        for (x, y) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
+            let at = |dx: f32, dy: f32| [x + dx, y + dy, 0.0];
+            triangles.push(triangle([at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0)]));
+            triangles.push(triangle([at(0.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)]));
+        }
+        let occluders = Occluders::build(&Scene::from_triangles(triangles));
+        assert_eq!(occluders.len(), 1);
+        assert_eq!(occluders.corners(0).len(), 4);
+        assert!((0..8).all(|primitive| occluders.polygon_of(primitive) == Some(0)));
+    }
+
+    #[test]
+    fn an_l_shape_stays_two_convex_pieces_with_a_joint() {
+        let quad = |x0: f32, x1: f32, y0: f32, y1: f32| {
+            [
+                triangle([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0]]),
+                triangle([[x0, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]]),
+            ]
+        };
+        // The lintel's edge is a part of the wall's edge.
+        let triangles = [quad(0.0, 2.0, 0.0, 3.0), quad(2.0, 3.0, 2.1, 3.0)].concat();
+        let occluders = Occluders::build(&Scene::from_triangles(triangles));
+        assert_eq!(occluders.len(), 2);
+        assert_eq!(occluders.joint_count(), 1);
+        assert!(occluders.joints[0].opposite);
+    }
+
+    #[test]
+    fn what_does_not_occlude_or_has_no_area_is_left_out() {
+        let mut glass = triangle([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+        glass.occludes = false;
+        let flat = triangle([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
+        assert!(Occluders::build(&Scene::from_triangles(vec![glass, flat])).is_empty());
+    }
+}

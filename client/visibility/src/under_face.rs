@@ -1,0 +1,377 @@
+//! One square or rectangular image of [`crate::UnderOcclusion`]: for each pixel, how near is it certainly closed?
+//!
+//! A pixel holds w = 1/z (z along the image's axis), a lower bound over its whole square; 0 is "open". Pixels come in
+//! tiles of 8×8. A tile that one polygon covers alone keeps only that polygon's plane, which is most of a wall; only
+//! tiles at borders keep 64 numbers. Each tile knows its least w, so that most of a query looks at one number per tile.
+
+use glam::DVec3;
+
+/// Pixels along a tile's side.
+pub(crate) const TILE: usize = 8;
+
+/// Each edge moves inward by this much more than the pixel's own half extent. Rounding while spans are computed is below
+/// 10⁻⁵ pixel (see [`Region::add`]), and turning bounds into whole pixels uses half of it (see [`Face::fill`]).
+const INSET_PX: f64 = 1e-4;
+
+/// Relative slack downward on w, above the rounding of f32 in [`Plane::at`] (under 2.5·10⁻⁷ of the sum of its terms).
+const SLACK_W: f64 = 1e-6;
+
+/// A pinhole image: directions `right·x + up·y + forward` meet pixel coordinates `centre + focal·(x, −y)`.
+#[derive(Clone, Debug)]
+pub(crate) struct Face {
+    pub right: DVec3,
+    pub up: DVec3,
+    pub forward: DVec3,
+    /// Pixels per unit of tangent.
+    pub focal: f64,
+    pub width: usize,
+    pub height: usize,
+    /// Length of the longest direction (with forward part 1) in the image.
+    pub reach: f64,
+    tiles_x: usize,
+    /// Least w of each tile.
+    least: Vec<f32>,
+    tiles: Vec<Tile>,
+    pixels: Vec<[f32; TILE * TILE]>,
+    open_tiles: usize,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Tile {
+    plane: Plane,
+    /// An upper bound of w in the tile.
+    greatest: f32,
+    /// Whether `pixels` is in force, rather than `plane`.
+    detailed: bool,
+}
+
+/// w at the pixel in column i and row j of a tile is `at + i·dx + j·dy`.
+#[derive(Clone, Copy, Debug)]
+struct Plane {
+    at: f32,
+    dx: f32,
+    dy: f32,
+}
+
+const OPEN: Tile = Tile { plane: Plane { at: 0.0, dx: 0.0, dy: 0.0 }, greatest: 0.0, detailed: false };
+
+impl Plane {
+    fn at(&self, i: f32, j: f32) -> f32 {
+        self.at + i * self.dx + j * self.dy
+    }
+
+    /// The least value at pixels `i0..=i1`, `j0..=j1`: rounding is monotone, so it is at a corner.
+    fn least(&self, [i0, i1]: [f32; 2], [j0, j1]: [f32; 2]) -> f32 {
+        self.at(if self.dx > 0.0 { i0 } else { i1 }, if self.dy > 0.0 { j0 } else { j1 })
+    }
+
+    fn greatest(&self) -> f32 {
+        self.at(if self.dx > 0.0 { 7.0 } else { 0.0 }, if self.dy > 0.0 { 7.0 } else { 0.0 })
+    }
+
+    /// Whether this is at least `other` everywhere in the tile, rounding between the corners included.
+    fn dominates(&self, other: &Plane) -> bool {
+        let slack = 1e-6 * (self.at.abs() + 7.0 * (self.dx.abs() + self.dy.abs()));
+        [(0.0, 0.0), (7.0, 0.0), (0.0, 7.0), (7.0, 7.0)].iter().all(|&(i, j)| self.at(i, j) >= other.at(i, j) + slack)
+    }
+}
+
+/// `a·x + b·y + c` at the centre of pixel (x, y).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Linear {
+    pub a: f64,
+    pub b: f64,
+    pub c: f64,
+}
+
+impl Linear {
+    /// How much it can differ between a pixel's centre and any point of its square.
+    pub fn half_pixel(&self) -> f64 {
+        (self.a.abs() + self.b.abs()) * 0.5
+    }
+}
+
+/// The pixels that satisfy a set of linear conditions, as bounds per row.
+pub(crate) struct Region {
+    width: f64,
+    rows: [f64; 2],
+    left: [(f64, f64); Region::CONDITIONS_MAX],
+    left_count: usize,
+    right: [(f64, f64); Region::CONDITIONS_MAX],
+    right_count: usize,
+}
+
+impl Region {
+    const CONDITIONS_MAX: usize = 32;
+
+    /// Every pixel in these rows (inclusive).
+    pub fn rows(face: &Face, first: f64, last: f64) -> Region {
+        Region {
+            width: face.width as f64,
+            rows: [first.max(0.0), last.min(face.height as f64 - 1.0)],
+            left: [(0.0, 0.0); Region::CONDITIONS_MAX],
+            left_count: 0,
+            right: [(0.0, 0.0); Region::CONDITIONS_MAX],
+            right_count: 0,
+        }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        // Also true of NaN.
+        !(self.rows[0] <= self.rows[1])
+    }
+
+    /// Keeps the pixels on whose whole square `n·d` is at least 0 although it may be wrong by `error`.
+    pub fn add(&mut self, linear: Linear, error: f64) {
+        self.add_raw(Linear { c: linear.c - linear.half_pixel() * (1.0 + 2.0 * INSET_PX) - error, ..linear });
+    }
+
+    /// Keeps the pixels whose square may touch the line `linear = 0`: no more than a saving.
+    pub fn add_band(&mut self, linear: Linear, error: f64) {
+        let reach = linear.half_pixel() * 1.01 + error;
+        self.add_raw(Linear { c: linear.c + reach, ..linear });
+        self.add_raw(Linear { a: -linear.a, b: -linear.b, c: reach - linear.c });
+    }
+
+    /// Keeps the pixels where `a·x + b·y + c ≥ 0`.
+    ///
+    /// Bounds are x = k0 + k1·y with |k1| ≤ 10⁶. Where such a bound falls into the image |k0| is at most 10⁶·height, so
+    /// its rounding is below 10⁻⁵ pixel for up to 4,096 rows; elsewhere it only has to stay outside.
+    fn add_raw(&mut self, Linear { a, b, c }: Linear) {
+        if a.abs() <= b.abs() * 1e-6 || a == 0.0 {
+            // Nearly a row: take its worst column.
+            let c = c - a.abs() * self.width;
+            if b == 0.0 {
+                if !(c >= 0.0) {
+                    self.rows[1] = -1.0;
+                }
+            } else if b > 0.0 {
+                self.rows[0] = self.rows[0].max((-c / b - INSET_PX * 0.1).ceil());
+            } else {
+                self.rows[1] = self.rows[1].min((-c / b + INSET_PX * 0.1).floor());
+            }
+            return;
+        }
+        let bound = (-c / a, -b / a);
+        if !(bound.0.is_finite() && bound.1.is_finite()) {
+            self.rows[1] = -1.0;
+        } else if a > 0.0 {
+            self.left[self.left_count] = bound;
+            self.left_count += 1;
+        } else {
+            self.right[self.right_count] = bound;
+            self.right_count += 1;
+        }
+    }
+}
+
+impl Face {
+    /// An open image. Sizes are rounded up to whole tiles; only `width` × `height` pixels are ever asked about.
+    pub fn new([right, up, forward]: [DVec3; 3], focal: f64, width: usize, height: usize) -> Face {
+        let (tiles_x, tiles_y) = (width.div_ceil(TILE), height.div_ceil(TILE));
+        let (x, y) = (tiles_x as f64 * 4.0 / focal, tiles_y as f64 * 4.0 / focal);
+        Face {
+            right,
+            up,
+            forward,
+            focal,
+            width,
+            height,
+            reach: (1.0 + 4.0 * (x * x + y * y)).sqrt(),
+            tiles_x,
+            least: vec![0.0; tiles_x * tiles_y],
+            tiles: vec![OPEN; tiles_x * tiles_y],
+            pixels: vec![[0.0; TILE * TILE]; tiles_x * tiles_y],
+            open_tiles: tiles_x * tiles_y,
+        }
+    }
+
+    pub fn clear(&mut self) {
+        self.least.fill(0.0);
+        self.tiles.fill(OPEN);
+        self.open_tiles = self.tiles.len();
+    }
+
+    pub fn is_full(&self) -> bool {
+        self.open_tiles == 0
+    }
+
+    /// The vector in the image's axes.
+    pub fn local(&self, v: DVec3) -> DVec3 {
+        DVec3::new(self.right.dot(v), self.up.dot(v), self.forward.dot(v))
+    }
+
+    pub fn centre_x(&self) -> f64 {
+        self.width as f64 * 0.5
+    }
+
+    pub fn centre_y(&self) -> f64 {
+        self.height as f64 * 0.5
+    }
+
+    /// `n·d` over the image, for n in the image's axes and d the direction through a pixel's centre.
+    pub fn linear(&self, n: DVec3) -> Linear {
+        let (a, b) = (n.x / self.focal, -n.y / self.focal);
+        Linear { a, b, c: n.z - a * (self.centre_x() - 0.5) - b * (self.centre_y() - 0.5) }
+    }
+
+    /// Covers the pixels of `region` as near as the farthest of these planes (w at pixel centres) over each square.
+    pub fn fill<const N: usize>(&mut self, region: &Region, planes: [Linear; N]) {
+        if region.is_empty() {
+            return;
+        }
+        let rows = [region.rows[0] as usize, region.rows[1] as usize];
+        let planes = planes.map(|w| Linear { c: w.c - w.half_pixel() * (1.0 + 2.0 * INSET_PX), ..w });
+        for tile_y in rows[0] / TILE..=rows[1] / TILE {
+            let top = (tile_y * TILE) as f64;
+            let mut left = [0.0_f64; TILE];
+            let mut right = [region.width; TILE];
+            for &(k0, k1) in &region.left[..region.left_count] {
+                for (j, bound) in left.iter_mut().enumerate() {
+                    let x = k0 + k1 * (top + j as f64);
+                    *bound = if x > *bound { x } else { *bound };
+                }
+            }
+            // A pixel is inside up to and including its bound, hence the 1.
+            for &(k0, k1) in &region.right[..region.right_count] {
+                for (j, bound) in right.iter_mut().enumerate() {
+                    let x = k0 + k1 * (top + j as f64) + 1.0;
+                    *bound = if x < *bound { x } else { *bound };
+                }
+            }
+            // Whole pixels: the first at or after `left`, the end at or before `right`, to within half of INSET_PX.
+            let mut from = [0.0_f32; TILE];
+            let mut to = [0.0_f32; TILE];
+            let (mut outer, mut inner) = ([u32::MAX, 0], [0, u32::MAX]);
+            for j in 0..TILE {
+                let row = tile_y * TILE + j;
+                let first = (left[j].min(region.width) + (1.0 - INSET_PX * 0.5)) as u32;
+                let mut end = (right[j].max(0.0) + INSET_PX * 0.5) as u32;
+                if row < rows[0] || row > rows[1] {
+                    end = 0;
+                }
+                if first < end {
+                    outer = [outer[0].min(first), outer[1].max(end)];
+                }
+                inner = [inner[0].max(first), inner[1].min(end)];
+                (from[j], to[j]) = (first as f32, end as f32);
+            }
+            if outer[0] >= outer[1] {
+                continue;
+            }
+            for tile_x in outer[0] as usize / TILE..=(outer[1] as usize - 1) / TILE {
+                let column = tile_x * TILE;
+                let whole = inner[0] as usize <= column && inner[1] as usize >= column + TILE;
+                let planes = planes.map(|w| w.in_tile(column, tile_y * TILE));
+                self.fill_tile(tile_y * self.tiles_x + tile_x, column, &from, &to, whole, planes);
+            }
+        }
+    }
+
+    #[inline]
+    fn fill_tile<const N: usize>(
+        &mut self,
+        index: usize,
+        column: usize,
+        from: &[f32; TILE],
+        to: &[f32; TILE],
+        whole: bool,
+        planes: [Plane; N],
+    ) {
+        let greatest = planes.iter().map(Plane::greatest).fold(f32::INFINITY, f32::min);
+        if !(greatest > self.least[index]) {
+            return;
+        }
+        let tile = &mut self.tiles[index];
+        if whole && N == 1 {
+            let least = planes[0].least([0.0, 7.0], [0.0, 7.0]);
+            let dominates = if tile.detailed { least >= tile.greatest } else { planes[0].dominates(&tile.plane) };
+            if dominates {
+                *tile = Tile { plane: planes[0], greatest, detailed: false };
+                self.raise_least(index, least);
+                return;
+            }
+            if !tile.detailed && tile.plane.dominates(&planes[0]) {
+                return;
+            }
+        }
+        let pixels = &mut self.pixels[index];
+        if !tile.detailed {
+            let plane = tile.plane;
+            for (j, row) in pixels.chunks_exact_mut(TILE).enumerate() {
+                for (i, pixel) in row.iter_mut().enumerate() {
+                    *pixel = plane.at(i as f32, j as f32);
+                }
+            }
+            tile.detailed = true;
+        }
+        tile.greatest = tile.greatest.max(greatest);
+        let mut least = [f32::INFINITY; TILE];
+        let column = column as f32;
+        for (j, row) in pixels.chunks_exact_mut(TILE).enumerate() {
+            let (from, to) = (from[j] - column, to[j] - column);
+            for (i, pixel) in row.iter_mut().enumerate() {
+                let i = i as f32;
+                let mut w = f32::INFINITY;
+                for plane in &planes {
+                    let other = plane.at(i, j as f32);
+                    w = if other < w { other } else { w };
+                }
+                w = if (i >= from) & (i < to) { w } else { 0.0 };
+                *pixel = if w > *pixel { w } else { *pixel };
+            }
+            for (least, pixel) in least.iter_mut().zip(row) {
+                *least = if *pixel < *least { *pixel } else { *least };
+            }
+        }
+        let least = least.iter().copied().fold(f32::INFINITY, f32::min);
+        self.raise_least(index, least);
+    }
+
+    fn raise_least(&mut self, index: usize, least: f32) {
+        let old = &mut self.least[index];
+        self.open_tiles -= usize::from(*old <= 0.0 && least > 0.0);
+        *old = old.max(least);
+    }
+
+    /// Whether every pixel in columns `x[0]..=x[1]` and rows `y[0]..=y[1]` is closed nearer than 1/w.
+    pub fn covers(&self, x: [usize; 2], y: [usize; 2], w: f32) -> bool {
+        for tile_y in y[0] / TILE..=y[1] / TILE {
+            let rows = tile_y * self.tiles_x;
+            for tile_x in x[0] / TILE..=x[1] / TILE {
+                if self.least[rows + tile_x] > w {
+                    continue;
+                }
+                let clip = |range: [usize; 2], tile: usize| {
+                    [range[0].max(tile * TILE) - tile * TILE, range[1].min(tile * TILE + TILE - 1) - tile * TILE]
+                };
+                if !self.tile_covers(rows + tile_x, clip(x, tile_x), clip(y, tile_y), w) {
+                    return false;
+                }
+            }
+        }
+        true
+    }
+
+    fn tile_covers(&self, index: usize, i: [usize; 2], j: [usize; 2], w: f32) -> bool {
+        let tile = &self.tiles[index];
+        if tile.greatest <= w {
+            return false;
+        }
+        if tile.detailed {
+            let pixels = &self.pixels[index];
+            (j[0]..=j[1]).all(|j| pixels[j * TILE + i[0]..=j * TILE + i[1]].iter().all(|&pixel| pixel > w))
+        } else {
+            tile.plane.least(i.map(|i| i as f32), j.map(|j| j as f32)) > w
+        }
+    }
+}
+
+impl Linear {
+    /// Rounded down so far that evaluating it in f32 cannot exceed it.
+    fn in_tile(&self, column: usize, row: usize) -> Plane {
+        let at = self.a * column as f64 + self.b * row as f64 + self.c;
+        let size = at.abs() + 7.0 * (self.a.abs() + self.b.abs());
+        Plane { at: (at - SLACK_W * size) as f32, dx: self.a as f32, dy: self.b as f32 }
+    }
+}

@@ -1,0 +1,190 @@
+//! The static world as a server holds it: its bytes, what moves in it, and its triangles for the audit.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use eyeline_protocol::WorldInfo;
+use eyeline_visibility::{LoadError, LoadOptions, LoadStats, Scene, load_glb_with_stats, pack_glb};
+use glam::DVec3;
+use serde::Deserialize;
+
+use crate::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, WorldSpec};
+
+/// A model and what moves in it.
+#[derive(Clone)]
+pub struct Model {
+    /// The .glb that clients fetch; a .gltf is packed into one.
+    pub bytes: Arc<[u8]>,
+    /// Its name and hash.
+    pub info: WorldInfo,
+    /// What moves in it, and where avatars start.
+    pub spec: WorldSpec,
+    /// Its static triangles and the meshes of what moves.
+    pub scene: Arc<Scene>,
+    /// What was met while loading.
+    pub stats: LoadStats,
+}
+
+/// Why there is no such world.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// The model can't be loaded.
+    #[error(transparent)]
+    Load(#[from] LoadError),
+    /// The world file can't be read.
+    #[error("{}: {source}", path.display())]
+    Read {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The world file does not say what it should.
+    #[error("{}: {source}", path.display())]
+    Spec {
+        /// Which file.
+        path: PathBuf,
+        /// Where, and why.
+        source: Box<toml::de::Error>,
+    },
+    /// A node's extras do not say what they should.
+    #[error("{file}: extras.eyeline of node '{node}': {reason}")]
+    Extras {
+        /// The model.
+        file: String,
+        /// The node.
+        node: String,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// `extras.eyeline` of a node that moves. Units as in [`WorldSpec`].
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Extras {
+    /// Avatars may start at the node.
+    #[serde(default)]
+    spawn: bool,
+    radius: Option<f64>,
+    #[serde(default)]
+    bottom: f64,
+    top: Option<f64>,
+    speed_max: Option<f64>,
+    path: Option<PathSpec>,
+}
+
+impl Model {
+    /// Loads `model`. What moves is said by `world_file`, else by `NAME.world.toml` beside the model, else by the extras
+    /// of its nodes.
+    ///
+    /// # Errors
+    /// Names the file, the value and the remedy.
+    pub fn load(model: &Path, world_file: Option<&Path>) -> Result<Model, ModelError> {
+        let bytes = pack_glb(model)?;
+        let beside = model.with_extension("world.toml");
+        let world_file = world_file.map(Path::to_owned).or_else(|| beside.exists().then_some(beside));
+        let spec = match world_file {
+            Some(path) => {
+                let text =
+                    std::fs::read_to_string(&path).map_err(|source| ModelError::Read { path: path.clone(), source })?;
+                let spec =
+                    toml::from_str(&text).map_err(|source| ModelError::Spec { path, source: Box::new(source) })?;
+                Some(spec)
+            }
+            None => None,
+        };
+        Model::from_bytes(bytes, &model.display().to_string(), spec)
+    }
+
+    /// A model in memory. `name` stands for its file in errors; without a `spec` the nodes' extras say what moves.
+    ///
+    /// # Errors
+    /// Names the file, the value and the remedy.
+    pub fn from_bytes(bytes: Vec<u8>, name: &str, spec: Option<WorldSpec>) -> Result<Model, ModelError> {
+        let spec = match spec {
+            Some(spec) => spec,
+            None => {
+                // Once to see which nodes say something, once more to know where they stand.
+                let (_, stats) = load_glb_with_stats(&bytes, name, &LoadOptions::default())?;
+                let nodes: BTreeSet<String> = stats.extras.iter().map(|(node, _)| node.clone()).collect();
+                let options = LoadOptions::default().with_moving_nodes(nodes);
+                let (scene, stats) = load_glb_with_stats(&bytes, name, &options)?;
+                spec_of_extras(name, &scene, &stats)?
+            }
+        };
+        let (scene, stats) = load_scene(&bytes, name, &spec)?;
+        let short = Path::new(name).file_name().map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into());
+        let mut spec = spec;
+        if spec.spawns.is_empty() {
+            spec.spawns.push(SpawnSpec { position: default_spawn(&scene).to_array(), heading: 0.0 });
+        }
+        let info = WorldInfo {
+            name: if spec.name.is_empty() { short } else { spec.name.clone() },
+            hash: sha256(&bytes),
+            size_bytes: bytes.len() as u64,
+        };
+        Ok(Model { bytes: bytes.into(), info, spec, scene: Arc::new(scene), stats })
+    }
+}
+
+/// The scene of a model whose moving nodes a specification names: the same at the server and at a client that knows the
+/// roster.
+fn load_scene(bytes: &[u8], name: &str, spec: &WorldSpec) -> Result<(Scene, LoadStats), LoadError> {
+    let nodes = spec.objects.iter().map(|object| object.node.as_ref().unwrap_or(&object.name).clone());
+    let options = LoadOptions::default().with_moving_nodes(nodes).with_two_sided(spec.two_sided);
+    load_glb_with_stats(bytes, name, &options)
+}
+
+/// SHA-256 of some bytes.
+fn sha256(bytes: &[u8]) -> [u8; 32] {
+    let digest = ring::digest::digest(&ring::digest::SHA256, bytes);
+    let mut hash = [0; 32];
+    hash.copy_from_slice(digest.as_ref());
+    hash
+}
+
+/// The middle of the scene, on its floor: the best guess for a model that says nothing.
+fn default_spawn(scene: &Scene) -> DVec3 {
+    let bounds = scene.bounds();
+    if bounds.is_empty() {
+        return scene.anchor();
+    }
+    scene.anchor() + bounds.centre().with_y(bounds.min.y)
+}
+
+fn spec_of_extras(file: &str, scene: &Scene, stats: &LoadStats) -> Result<WorldSpec, ModelError> {
+    let mut spec = WorldSpec::default();
+    let mut nodes = BTreeSet::new();
+    for (node, value) in &stats.extras {
+        let bad = |reason: String| ModelError::Extras { file: file.to_owned(), node: node.clone(), reason };
+        let extras: Extras = serde_json::from_value(value.clone()).map_err(|error| bad(error.to_string()))?;
+        if !nodes.insert(node) || node.is_empty() {
+            return Err(bad("a node that moves needs a name of its own".into()));
+        }
+        let origin = scene.objects().iter().find(|object| object.name == *node).map(|o| o.origin + scene.anchor());
+        let origin = origin.ok_or_else(|| bad("the node is not in the default scene".into()))?;
+        if extras.spawn {
+            spec.spawns.push(SpawnSpec { position: origin.to_array(), heading: 0.0 });
+            continue;
+        }
+        let needed = |value: Option<f64>, key: &str| value.ok_or_else(|| bad(format!("needs {key} (metres, seconds)")));
+        spec.classes.push(ClassSpec {
+            name: node.clone(),
+            radius: needed(extras.radius, "radius")?,
+            bottom: extras.bottom,
+            top: needed(extras.top, "top")?,
+            speed_max: needed(extras.speed_max, "speed_max")?,
+        });
+        spec.objects.push(ObjectSpec {
+            name: node.clone(),
+            class: node.clone(),
+            node: None,
+            position: origin.to_array(),
+            heading: 0.0,
+            path: extras.path,
+        });
+    }
+    Ok(spec)
+}

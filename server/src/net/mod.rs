@@ -1,0 +1,404 @@
+//! The QUIC shell: sockets and clocks around a [`World`].
+//!
+//! One thread is enough: FACTS measured that a current-thread runtime beats two threads on two cores. Each connection
+//! has one task that waits for what arrives; whatever does is handed to the world at once, and what the world has to
+//! say in return leaves before the task waits again.
+
+// This is a driver: it may read the clock and own sockets.
+#![expect(clippy::disallowed_methods, clippy::disallowed_types)]
+
+mod identity;
+
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use eyeline_protocol::codec::ControlReader;
+use eyeline_protocol::{ALPN, WorldTime};
+pub use identity::{Identity, IdentityError, sha256};
+use quinn::crypto::rustls::QuicServerConfig;
+use tokio::sync::mpsc;
+
+use crate::world::{SessionId, Transmit, World};
+
+/// Why a server can't start.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The address can't be listened on.
+    #[error("cannot listen on {address}: {source}; is another server running there? choose another with --listen")]
+    Bind {
+        /// Which.
+        address: SocketAddr,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The certificate can't be used.
+    #[error("cannot use the certificate: {0}")]
+    Tls(#[from] rustls::Error),
+    /// The certificate has a kind of key that QUIC can't use.
+    #[error("cannot use the certificate for QUIC: {0}")]
+    Quic(#[from] quinn::crypto::rustls::NoInitialCipherSuite),
+}
+
+/// The world's time as a driver tells it: `base` at `epoch`.
+#[derive(Clone, Copy, Debug)]
+pub struct WorldClock {
+    epoch: Instant,
+    base: WorldTime,
+}
+
+impl WorldClock {
+    /// A clock that shows `base` now.
+    pub fn starting_at(base: WorldTime) -> WorldClock {
+        WorldClock { epoch: Instant::now(), base }
+    }
+
+    /// The time now.
+    pub fn now(&self) -> WorldTime {
+        self.base + self.epoch.elapsed()
+    }
+
+    /// When the clock will show `time`.
+    pub fn instant(&self, time: WorldTime) -> Instant {
+        self.epoch + time.since(self.base)
+    }
+}
+
+/// What the shell itself counts.
+#[derive(Clone, Debug, Default)]
+pub struct ShellStats {
+    /// Time spent in the world and in handing its output to QUIC.
+    pub work: Duration,
+    /// Work of each tick, the newest last; at most [`TICKS_KEPT`].
+    pub tick_micros: Vec<u32>,
+    /// Connections that were closed because they did not read what they were told.
+    pub slow_readers: u64,
+    /// Datagrams that did not fit the path or its buffer.
+    pub datagrams_dropped: u64,
+}
+
+/// How many ticks' work is remembered: an hour at 20 Hz.
+pub const TICKS_KEPT: usize = 72_000;
+
+/// Most control messages that wait for one client. A joining client of a full world is told of 16 M objects in 65,536.
+const CONTROL_QUEUE: usize = 4096;
+
+/// Called after each commit.
+pub type CommitHook = Box<dyn FnMut(&World) + Send>;
+
+struct Peer {
+    connection: quinn::Connection,
+    control: mpsc::Sender<Outgoing>,
+}
+
+enum Outgoing {
+    Control(Vec<u8>),
+    WorldBytes,
+    Close(String),
+}
+
+struct Core {
+    world: World,
+    peers: BTreeMap<SessionId, Peer>,
+    hook: Option<CommitHook>,
+    stats: ShellStats,
+}
+
+/// A handle on a running server. Cheap to clone.
+#[derive(Clone)]
+pub struct Handle {
+    core: Arc<Mutex<Core>>,
+    clock: WorldClock,
+    model: Bytes,
+}
+
+impl Handle {
+    fn lock(&self) -> MutexGuard<'_, Core> {
+        // A panic elsewhere has been reported; the world's own state is consistent between calls.
+        self.core.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Looks at the world, or changes it. Keep it short: nothing else happens meanwhile.
+    pub fn with_world<T>(&self, f: impl FnOnce(&mut World) -> T) -> T {
+        f(&mut self.lock().world)
+    }
+
+    /// The world's clock.
+    pub fn clock(&self) -> WorldClock {
+        self.clock
+    }
+
+    /// What the shell counted so far.
+    pub fn stats(&self) -> ShellStats {
+        self.lock().stats.clone()
+    }
+
+    /// Forgets what the shell counted so far.
+    pub fn reset_stats(&self) {
+        self.lock().stats = ShellStats::default();
+    }
+
+    /// Runs `f` on the world and sends what comes of it.
+    fn drive(&self, f: impl FnOnce(&mut World, WorldTime)) {
+        let started = Instant::now();
+        let mut core = self.lock();
+        f(&mut core.world, self.clock.now());
+        core.flush(self.clock.now());
+        core.stats.work += started.elapsed();
+    }
+}
+
+impl Core {
+    fn flush(&mut self, now: WorldTime) {
+        while let Some((id, transmit)) = self.world.poll_transmit(now) {
+            let Some(peer) = self.peers.get(&id) else { continue };
+            let outgoing = match transmit {
+                Transmit::Datagram(bytes) => {
+                    if peer.connection.send_datagram(Bytes::from(bytes)).is_err() {
+                        self.stats.datagrams_dropped += 1;
+                    }
+                    continue;
+                }
+                Transmit::Control(bytes) => Outgoing::Control(bytes),
+                Transmit::WorldBytes => Outgoing::WorldBytes,
+                Transmit::Close(reason) => Outgoing::Close(reason),
+            };
+            if peer.control.try_send(outgoing).is_err() {
+                self.stats.slow_readers += 1;
+                peer.connection.close(1u32.into(), b"does not read its control stream");
+            }
+        }
+    }
+}
+
+/// A server that listens, and runs when told to.
+pub struct Server {
+    endpoint: quinn::Endpoint,
+    handle: Handle,
+}
+
+impl Server {
+    /// Listens on `address` and serves `world`, whose static model is `model`. Needs a tokio runtime around it.
+    ///
+    /// # Errors
+    /// If the address is taken or the identity is of no use.
+    pub fn bind(
+        address: SocketAddr,
+        identity: Identity,
+        world: World,
+        model: Bytes,
+        clock: WorldClock,
+        hook: Option<CommitHook>,
+    ) -> Result<Server, ServeError> {
+        let provider = Arc::new(rustls::crypto::ring::default_provider());
+        let mut tls = rustls::ServerConfig::builder_with_provider(provider)
+            .with_protocol_versions(&[&rustls::version::TLS13])?
+            .with_no_client_auth()
+            .with_single_cert(vec![identity.certificate], identity.key)?;
+        tls.alpn_protocols = vec![ALPN.to_vec()];
+        let mut config = quinn::ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(tls)?));
+        config.transport_config(Arc::new(transport()));
+        let socket = socket(address).map_err(|source| ServeError::Bind { address, source })?;
+        let runtime = Arc::new(quinn::TokioRuntime);
+        let endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), Some(config), socket, runtime)
+            .map_err(|source| ServeError::Bind { address, source })?;
+        let core = Core { world, peers: BTreeMap::new(), hook, stats: ShellStats::default() };
+        Ok(Server { endpoint, handle: Handle { core: Arc::new(Mutex::new(core)), clock, model } })
+    }
+
+    /// Where it listens.
+    ///
+    /// # Errors
+    /// If the system has forgotten.
+    pub fn local_addr(&self) -> std::io::Result<SocketAddr> {
+        self.endpoint.local_addr()
+    }
+
+    /// A handle on the world, for as long as the server runs and after.
+    pub fn handle(&self) -> Handle {
+        self.handle.clone()
+    }
+
+    /// Serves until `shutdown` is ready, then tells the clients and waits for them to hear it, at most two seconds.
+    pub async fn run(self, shutdown: impl Future<Output = ()>) {
+        let Server { endpoint, handle } = self;
+        tokio::pin!(shutdown);
+        let ticker = tick(handle.clone());
+        tokio::pin!(ticker);
+        loop {
+            tokio::select! {
+                () = &mut shutdown => break,
+                () = &mut ticker => {}
+                incoming = endpoint.accept() => match incoming {
+                    Some(incoming) => { tokio::spawn(serve(handle.clone(), incoming)); }
+                    None => break,
+                },
+            }
+        }
+        endpoint.set_server_config(None);
+        handle.drive(|world, _| world.shut_down("the server ends"));
+        // The tasks flush and close their connections; a peer that does not answer is not waited for.
+        let idle = tokio::time::timeout(Duration::from_secs(2), endpoint.wait_idle()).await;
+        if idle.is_err() {
+            endpoint.close(0u32.into(), b"the server ends");
+        }
+    }
+}
+
+async fn tick(handle: Handle) {
+    loop {
+        let due = handle.lock().world.poll_timeout();
+        tokio::time::sleep_until(handle.clock.instant(due).into()).await;
+        let started = Instant::now();
+        handle.drive(|world, now| world.tick(now));
+        let mut guard = handle.lock();
+        let core = &mut *guard;
+        if core.stats.tick_micros.len() < TICKS_KEPT {
+            core.stats.tick_micros.push(started.elapsed().as_micros() as u32);
+        }
+        if let Some(hook) = &mut core.hook {
+            hook(&core.world);
+        }
+    }
+}
+
+async fn serve(handle: Handle, incoming: quinn::Incoming) {
+    let connection = match incoming.await {
+        Ok(connection) => connection,
+        Err(error) => return tracing::debug!(%error, "handshake failed"),
+    };
+    let (control, outgoing) = mpsc::channel(CONTROL_QUEUE);
+    let mut id = SessionId(0);
+    handle.drive(|world, now| id = world.connect(now));
+    handle.lock().peers.insert(id, Peer { connection: connection.clone(), control });
+    if let Some(limit) = connection.max_datagram_size() {
+        handle.with_world(|world| world.handle_datagram_limit(id, limit));
+    }
+    tracing::debug!(session = id.0, address = %connection.remote_address(), "connected");
+    let reason = tokio::select! {
+        reason = receive_datagrams(&handle, id, &connection) => reason,
+        reason = converse(&handle, id, &connection, outgoing) => reason,
+    };
+    tracing::debug!(session = id.0, %reason, "disconnected");
+    connection.close(0u32.into(), reason.as_bytes());
+    handle.drive(|world, _| world.disconnect(id));
+    handle.lock().peers.remove(&id);
+}
+
+async fn receive_datagrams(handle: &Handle, id: SessionId, connection: &quinn::Connection) -> String {
+    loop {
+        match connection.read_datagram().await {
+            Ok(datagram) => handle.drive(|world, now| world.handle_datagram(id, &datagram, now)),
+            Err(error) => return error.to_string(),
+        }
+    }
+}
+
+/// For how long a connection may stay without its control stream.
+const GREETING_TIMEOUT: Duration = Duration::from_secs(5);
+
+async fn converse(
+    handle: &Handle,
+    id: SessionId,
+    connection: &quinn::Connection,
+    mut outgoing: mpsc::Receiver<Outgoing>,
+) -> String {
+    let (mut send, mut receive) = match tokio::time::timeout(GREETING_TIMEOUT, connection.accept_bi()).await {
+        Ok(Ok(stream)) => stream,
+        Ok(Err(error)) => return error.to_string(),
+        Err(_) => return "no hello".into(),
+    };
+    let reading = async {
+        let mut reader = ControlReader::default();
+        loop {
+            match receive.read_chunk(16 * 1024, true).await {
+                Ok(Some(chunk)) => reader.push(&chunk.bytes),
+                // The client has said all it will; it may still listen.
+                Ok(None) => return std::future::pending::<String>().await,
+                Err(error) => return error.to_string(),
+            }
+            loop {
+                match reader.next_message() {
+                    Ok(Some(message)) => handle.drive(|world, now| world.handle_control(id, &message, now)),
+                    Ok(None) => break,
+                    Err(error) => return error.to_string(),
+                }
+            }
+        }
+    };
+    let writing = async {
+        while let Some(message) = outgoing.recv().await {
+            match message {
+                Outgoing::Control(bytes) => {
+                    if let Err(error) = send.write_all(&bytes).await {
+                        return error.to_string();
+                    }
+                }
+                Outgoing::WorldBytes => {
+                    let (connection, model) = (connection.clone(), handle.model.clone());
+                    tokio::spawn(async move { send_world(&connection, model).await });
+                }
+                Outgoing::Close(reason) => {
+                    // Wait until the peer has it all, or has gone.
+                    let _ = send.finish();
+                    let _ = tokio::time::timeout(Duration::from_secs(1), send.stopped()).await;
+                    return reason;
+                }
+            }
+        }
+        "closed".into()
+    };
+    tokio::select! {
+        reason = reading => reason,
+        reason = writing => reason,
+    }
+}
+
+async fn send_world(connection: &quinn::Connection, model: Bytes) {
+    let sent = async {
+        let mut stream = connection.open_uni().await?;
+        stream.set_priority(-1)?;
+        stream.write_all(&model).await?;
+        stream.finish()?;
+        anyhow::Ok(())
+    };
+    if let Err(error) = sent.await {
+        tracing::debug!(%error, "the world was not sent");
+    }
+}
+
+/// Few streams and small windows: a connection's memory is what limits a server of thousands (FACTS: stream limits of
+/// 8 instead of 100 save a fifth, MTU discovery off halves the handshake). The datagram buffer holds two ticks of a busy
+/// client, so that it can't hide seconds of stale poses.
+fn transport() -> quinn::TransportConfig {
+    let mut transport = quinn::TransportConfig::default();
+    transport
+        .max_concurrent_bidi_streams(1u32.into())
+        .max_concurrent_uni_streams(0u32.into())
+        .max_idle_timeout(Some(quinn::IdleTimeout::from(quinn::VarInt::from_u32(10_000))))
+        .keep_alive_interval(Some(Duration::from_secs(4)))
+        .datagram_receive_buffer_size(Some(64 * 1024))
+        .datagram_send_buffer_size(64 * 1024)
+        .stream_receive_window(quinn::VarInt::from_u32(128 * 1024))
+        .receive_window(quinn::VarInt::from_u32(256 * 1024))
+        .mtu_discovery_config(None);
+    transport
+}
+
+/// A socket with buffers for a tick's burst: the system's default drops them (FACTS).
+fn socket(address: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
+    let socket = socket2::Socket::new(
+        socket2::Domain::for_address(address),
+        socket2::Type::DGRAM,
+        Some(socket2::Protocol::UDP),
+    )?;
+    // As much as the system gives; less is no error.
+    let _ = socket.set_recv_buffer_size(4 << 20);
+    let _ = socket.set_send_buffer_size(4 << 20);
+    socket.set_nonblocking(true)?;
+    socket.bind(&address.into())?;
+    Ok(socket.into())
+}

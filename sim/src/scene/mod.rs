@@ -1,0 +1,9 @@
+//! Scenes that we make ourselves, as the same files that a given scene would be: a `.glb` and its `.world.toml`.
+//!
+//! A maker is a pure function from rules and a seed to bytes, so a scene needs no file in the repository and every process
+//! of a run can rebuild what it must know (doors and obstacles for walkers) from the rules alone. [`plan`] decides where
+//! everything is, [`rooms`] gives it walls, furniture and moving chairs, and [`glb`] writes it down.
+
+pub mod glb;
+pub mod plan;
+pub mod rooms;
