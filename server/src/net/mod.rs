@@ -321,7 +321,7 @@ async fn converse(
         Err(_) => return "no hello".into(),
     };
     let reading = async {
-        let mut reader = ControlReader::default();
+        let mut reader = ControlReader::of_client();
         loop {
             match receive.read_chunk(16 * 1024, true).await {
                 Ok(Some(chunk)) => reader.push(&chunk.bytes),
