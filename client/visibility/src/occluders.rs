@@ -32,10 +32,12 @@ pub(crate) struct Polygon {
     pub count: u32,
     /// Range in [`Occluders::joint_lists`].
     pub joints: std::ops::Range<u32>,
-    /// Whether it hides from behind too.
+    /// Whether it is drawn from behind too. Not if it bounds a solid: the front of the solid is nearer then.
     pub two_sided: bool,
     /// Unit normal of the loop (Newell).
     pub normal: DVec3,
+    /// Least extent across.
+    pub width: f64,
     pub aabb: Aabb,
 }
 
@@ -76,7 +78,8 @@ const FLATNESS: f64 = 1e-5;
 const CONVEXITY: f64 = 1e-7;
 
 /// More corners than this are not merged: each costs a half-plane per row of pixels.
-const CORNERS_MAX: usize = 12;
+/// [`crate::under_face::Region`] has room for this many.
+const CORNERS_MAX: usize = 8;
 
 /// A joint shorter than this is not kept, for the reason of [`DEFAULT_WIDTH_MIN`].
 const JOINT_MIN: f64 = 0.1;
@@ -90,6 +93,7 @@ impl Occluders {
     /// The occluders of `scene` that are at least `width_min` metres wide.
     pub fn build_with(scene: &Scene, width_min: f64) -> Occluders {
         let mut loops = Loops::new(scene);
+        loops.close_shells();
         loops.merge();
         loops.finish(scene.triangles().len(), width_min)
     }
@@ -165,6 +169,47 @@ impl Loops {
 
     fn at(&self, corner: u32) -> DVec3 {
         self.positions[corner as usize].as_dvec3()
+    }
+
+    /// Makes the triangles of closed shells one-sided, which halves what is drawn.
+    ///
+    /// A shell that faces outward and in which each edge is shared by exactly two triangles hides nothing more with its
+    /// back sides, as long as the eye is outside. If it is inside, less is hidden, which is never wrong.
+    fn close_shells(&mut self) {
+        let mut owners: HashMap<(u32, u32), Vec<u32>> = HashMap::new();
+        for (index, polygon) in self.loops.iter().enumerate() {
+            for edge in edges(&polygon.corners) {
+                owners.entry(edge).or_default().push(index as u32);
+            }
+        }
+        let mut seen = vec![false; self.loops.len()];
+        for start in 0..self.loops.len() {
+            if std::mem::replace(&mut seen[start], true) {
+                continue;
+            }
+            let (mut shell, mut next, mut closed, mut volume) = (vec![start as u32], 0, true, 0.0);
+            let origin = self.at(self.loops[start].corners[0]);
+            while let Some(&index) = shell.get(next) {
+                next += 1;
+                let corners = &self.loops[index as usize].corners;
+                let [a, b, c] = [0, 1, 2].map(|i| self.at(corners[i]) - origin);
+                volume += a.cross(b).dot(c);
+                for (a, b) in edges(corners) {
+                    let neighbours = owners.get(&(b, a)).map_or(&[][..], Vec::as_slice);
+                    closed &= neighbours.len() == 1 && owners[&(a, b)].len() == 1;
+                    for &neighbour in neighbours {
+                        if !std::mem::replace(&mut seen[neighbour as usize], true) {
+                            shell.push(neighbour);
+                        }
+                    }
+                }
+            }
+            if closed && volume > 0.0 {
+                for index in shell {
+                    self.loops[index as usize].sides = Sides::Front;
+                }
+            }
+        }
     }
 
     /// Merges greedily across the longest edges first: those are the diagonals of quads.
@@ -280,7 +325,8 @@ impl Loops {
         for polygon in &self.loops {
             let corners =
                 without_straight_corners(polygon.corners.iter().map(|&c| self.positions[c as usize]).collect());
-            if corners.len() < 3 || width(&corners) < width_min {
+            let width = width(&corners);
+            if corners.len() < 3 || width < width_min {
                 continue;
             }
             for &primitive in &polygon.primitives {
@@ -292,6 +338,7 @@ impl Loops {
                 joints: 0..0,
                 two_sided: polygon.sides == Sides::Both,
                 normal: polygon.normal,
+                width,
                 aabb: corners.iter().fold(Aabb::EMPTY, |aabb, corner| aabb.with_point(corner.as_dvec3())),
             });
             occluders.corners.extend(corners);

@@ -32,7 +32,7 @@ pub(crate) struct Face {
     /// Least w of each tile.
     least: Vec<f32>,
     tiles: Vec<Tile>,
-    pixels: Vec<[f32; TILE * TILE]>,
+    pixels: Vec<[[f32; TILE]; TILE]>,
     open_tiles: usize,
 }
 
@@ -95,23 +95,23 @@ impl Linear {
 pub(crate) struct Region {
     width: f64,
     rows: [f64; 2],
-    left: [(f64, f64); Region::CONDITIONS_MAX],
+    /// Bounds from the left from the front on, bounds from the right from the back on.
+    bounds: [(f64, f64); Region::CONDITIONS_MAX],
     left_count: usize,
-    right: [(f64, f64); Region::CONDITIONS_MAX],
     right_count: usize,
 }
 
 impl Region {
-    const CONDITIONS_MAX: usize = 32;
+    /// A joint of two polygons of 8 corners: 7 edges and a near limit of each, and two for the band.
+    const CONDITIONS_MAX: usize = 18;
 
     /// Every pixel in these rows (inclusive).
     pub fn rows(face: &Face, first: f64, last: f64) -> Region {
         Region {
             width: face.width as f64,
             rows: [first.max(0.0), last.min(face.height as f64 - 1.0)],
-            left: [(0.0, 0.0); Region::CONDITIONS_MAX],
+            bounds: [(0.0, 0.0); Region::CONDITIONS_MAX],
             left_count: 0,
-            right: [(0.0, 0.0); Region::CONDITIONS_MAX],
             right_count: 0,
         }
     }
@@ -152,16 +152,18 @@ impl Region {
             }
             return;
         }
-        let bound = (-c / a, -b / a);
+        let inverse = 1.0 / a;
+        let bound = (-c * inverse, -b * inverse);
         if !(bound.0.is_finite() && bound.1.is_finite()) {
             self.rows[1] = -1.0;
         } else if a > 0.0 {
-            self.left[self.left_count] = bound;
+            self.bounds[self.left_count] = bound;
             self.left_count += 1;
         } else {
-            self.right[self.right_count] = bound;
             self.right_count += 1;
+            self.bounds[Region::CONDITIONS_MAX - self.right_count] = bound;
         }
+        debug_assert!(self.left_count + self.right_count <= Region::CONDITIONS_MAX);
     }
 }
 
@@ -181,7 +183,7 @@ impl Face {
             tiles_x,
             least: vec![0.0; tiles_x * tiles_y],
             tiles: vec![OPEN; tiles_x * tiles_y],
-            pixels: vec![[0.0; TILE * TILE]; tiles_x * tiles_y],
+            pixels: vec![[[0.0; TILE]; TILE]; tiles_x * tiles_y],
             open_tiles: tiles_x * tiles_y,
         }
     }
@@ -226,14 +228,14 @@ impl Face {
             let top = (tile_y * TILE) as f64;
             let mut left = [0.0_f64; TILE];
             let mut right = [region.width; TILE];
-            for &(k0, k1) in &region.left[..region.left_count] {
+            for &(k0, k1) in &region.bounds[..region.left_count] {
                 for (j, bound) in left.iter_mut().enumerate() {
                     let x = k0 + k1 * (top + j as f64);
                     *bound = if x > *bound { x } else { *bound };
                 }
             }
             // A pixel is inside up to and including its bound, hence the 1.
-            for &(k0, k1) in &region.right[..region.right_count] {
+            for &(k0, k1) in &region.bounds[Region::CONDITIONS_MAX - region.right_count..] {
                 for (j, bound) in right.iter_mut().enumerate() {
                     let x = k0 + k1 * (top + j as f64) + 1.0;
                     *bound = if x < *bound { x } else { *bound };
@@ -298,7 +300,7 @@ impl Face {
         let pixels = &mut self.pixels[index];
         if !tile.detailed {
             let plane = tile.plane;
-            for (j, row) in pixels.chunks_exact_mut(TILE).enumerate() {
+            for (j, row) in pixels.iter_mut().enumerate() {
                 for (i, pixel) in row.iter_mut().enumerate() {
                     *pixel = plane.at(i as f32, j as f32);
                 }
@@ -306,10 +308,12 @@ impl Face {
             tile.detailed = true;
         }
         tile.greatest = tile.greatest.max(greatest);
-        let mut least = [f32::INFINITY; TILE];
         let column = column as f32;
-        for (j, row) in pixels.chunks_exact_mut(TILE).enumerate() {
+        for (j, row) in pixels.iter_mut().enumerate() {
             let (from, to) = (from[j] - column, to[j] - column);
+            if from >= 8.0 || to <= 0.0 || from >= to {
+                continue;
+            }
             for (i, pixel) in row.iter_mut().enumerate() {
                 let i = i as f32;
                 let mut w = f32::INFINITY;
@@ -320,11 +324,8 @@ impl Face {
                 w = if (i >= from) & (i < to) { w } else { 0.0 };
                 *pixel = if w > *pixel { w } else { *pixel };
             }
-            for (least, pixel) in least.iter_mut().zip(row) {
-                *least = if *pixel < *least { *pixel } else { *least };
-            }
         }
-        let least = least.iter().copied().fold(f32::INFINITY, f32::min);
+        let least = least_of(pixels);
         self.raise_least(index, least);
     }
 
@@ -360,11 +361,21 @@ impl Face {
         }
         if tile.detailed {
             let pixels = &self.pixels[index];
-            (j[0]..=j[1]).all(|j| pixels[j * TILE + i[0]..=j * TILE + i[1]].iter().all(|&pixel| pixel > w))
+            (j[0]..=j[1]).all(|j| pixels[j][i[0]..=i[1]].iter().all(|&pixel| pixel > w))
         } else {
             tile.plane.least(i.map(|i| i as f32), j.map(|j| j as f32)) > w
         }
     }
+}
+
+/// Halves the rows, then the columns: written so that the compiler keeps whole rows in registers.
+fn least_of(pixels: &[[f32; TILE]; TILE]) -> f32 {
+    let lesser = |a: [f32; TILE], b: [f32; TILE]| -> [f32; TILE] {
+        std::array::from_fn(|i| if a[i] < b[i] { a[i] } else { b[i] })
+    };
+    let [a, b, c, d, e, f, g, h] = *pixels;
+    let row = lesser(lesser(lesser(a, b), lesser(c, d)), lesser(lesser(e, f), lesser(g, h)));
+    row.into_iter().fold(f32::INFINITY, |least, w| if w < least { w } else { least })
 }
 
 impl Linear {
