@@ -9,9 +9,12 @@ use glam::DVec3;
 /// Pixels along a tile's side.
 pub(crate) const TILE: usize = 8;
 
-/// Each edge moves inward by this much more than the pixel's own half extent. Rounding while spans are computed is below
-/// 10⁻⁵ pixel (see [`Region::add`]), and turning bounds into whole pixels uses half of it (see [`Face::fill`]).
-const INSET_PX: f64 = 1e-4;
+/// Each edge moves inward by this much more than the pixel's own half extent. It pays for the rounding of spans: 10⁻⁵ pixel
+/// where they are computed (see [`Region::add_raw`]) and 2.5·10⁻⁴ where they become f32 (up to 4,096 pixels).
+const INSET_PX: f64 = 1e-3;
+
+/// How far a bound between rows is rounded to the nearest one: a part of [`INSET_PX`].
+const ROW_SLACK_PX: f64 = 1e-5;
 
 /// Relative slack downward on w, above the rounding of f32 in [`Plane::at`] (under 2.5·10⁻⁷ of the sum of its terms).
 const SLACK_W: f64 = 1e-6;
@@ -146,9 +149,9 @@ impl Region {
                     self.rows[1] = -1.0;
                 }
             } else if b > 0.0 {
-                self.rows[0] = self.rows[0].max((-c / b - INSET_PX * 0.1).ceil());
+                self.rows[0] = self.rows[0].max((-c / b - ROW_SLACK_PX).ceil());
             } else {
-                self.rows[1] = self.rows[1].min((-c / b + INSET_PX * 0.1).floor());
+                self.rows[1] = self.rows[1].min((-c / b + ROW_SLACK_PX).floor());
             }
             return;
         }
@@ -227,43 +230,39 @@ impl Face {
         for tile_y in rows[0] / TILE..=rows[1] / TILE {
             let top = (tile_y * TILE) as f64;
             let mut left = [0.0_f64; TILE];
-            let mut right = [region.width; TILE];
+            let mut right = [region.width - 1.0; TILE];
             for &(k0, k1) in &region.bounds[..region.left_count] {
                 for (j, bound) in left.iter_mut().enumerate() {
                     let x = k0 + k1 * (top + j as f64);
                     *bound = if x > *bound { x } else { *bound };
                 }
             }
-            // A pixel is inside up to and including its bound, hence the 1.
             for &(k0, k1) in &region.bounds[Region::CONDITIONS_MAX - region.right_count..] {
                 for (j, bound) in right.iter_mut().enumerate() {
-                    let x = k0 + k1 * (top + j as f64) + 1.0;
+                    let x = k0 + k1 * (top + j as f64);
                     *bound = if x < *bound { x } else { *bound };
                 }
             }
-            // Whole pixels: the first at or after `left`, the end at or before `right`, to within half of INSET_PX.
-            let mut from = [0.0_f32; TILE];
-            let mut to = [0.0_f32; TILE];
-            let (mut outer, mut inner) = ([u32::MAX, 0], [0, u32::MAX]);
-            for j in 0..TILE {
-                let row = tile_y * TILE + j;
-                let first = (left[j].min(region.width) + (1.0 - INSET_PX * 0.5)) as u32;
-                let mut end = (right[j].max(0.0) + INSET_PX * 0.5) as u32;
-                if row < rows[0] || row > rows[1] {
-                    end = 0;
-                }
-                if first < end {
-                    outer = [outer[0].min(first), outer[1].max(end)];
-                }
-                inner = [inner[0].max(first), inner[1].min(end)];
-                (from[j], to[j]) = (first as f32, end as f32);
+            // Pixels count from `from` up to and including `to`. Neither becomes a whole number: comparing columns with
+            // them does the same, in vectors.
+            let from = left.map(|x| x as f32);
+            let mut to = right.map(|x| x as f32);
+            for (j, to) in to.iter_mut().enumerate() {
+                let row = top + j as f64;
+                *to = if (row >= region.rows[0]) & (row <= region.rows[1]) { *to } else { -1.0 };
             }
-            if outer[0] >= outer[1] {
+            let (mut outer, mut inner) = ([f32::INFINITY, -1.0], [0.0, f32::INFINITY]);
+            for (&from, &to) in from.iter().zip(&to) {
+                let (first, last) = if from <= to { (from, to) } else { (f32::INFINITY, -1.0) };
+                outer = [f32::min(outer[0], first), f32::max(outer[1], last)];
+                inner = [f32::max(inner[0], from), f32::min(inner[1], to)];
+            }
+            if !(outer[0] <= outer[1]) {
                 continue;
             }
-            for tile_x in outer[0] as usize / TILE..=(outer[1] as usize - 1) / TILE {
+            for tile_x in outer[0] as usize / TILE..=outer[1] as usize / TILE {
                 let column = tile_x * TILE;
-                let whole = inner[0] as usize <= column && inner[1] as usize >= column + TILE;
+                let whole = inner[0] <= column as f32 && inner[1] >= (column + TILE - 1) as f32;
                 let planes = planes.map(|w| w.in_tile(column, tile_y * TILE));
                 self.fill_tile(tile_y * self.tiles_x + tile_x, column, &from, &to, whole, planes);
             }
@@ -311,7 +310,7 @@ impl Face {
         let column = column as f32;
         for (j, row) in pixels.iter_mut().enumerate() {
             let (from, to) = (from[j] - column, to[j] - column);
-            if from >= 8.0 || to <= 0.0 || from >= to {
+            if !(from <= 7.0 && to >= 0.0 && from <= to) {
                 continue;
             }
             for (i, pixel) in row.iter_mut().enumerate() {
@@ -321,7 +320,7 @@ impl Face {
                     let other = plane.at(i, j as f32);
                     w = if other < w { other } else { w };
                 }
-                w = if (i >= from) & (i < to) { w } else { 0.0 };
+                w = if (i >= from) & (i <= to) { w } else { 0.0 };
                 *pixel = if w > *pixel { w } else { *pixel };
             }
         }
