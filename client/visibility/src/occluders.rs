@@ -32,8 +32,10 @@ pub(crate) struct Polygon {
     pub count: u32,
     /// Range in [`Occluders::joint_lists`].
     pub joints: std::ops::Range<u32>,
-    /// Whether it is drawn from behind too. Not if it bounds a solid: the front of the solid is nearer then.
+    /// Whether it hides from behind too.
     pub two_sided: bool,
+    /// The box of the closed shell that it belongs to: an eye outside need not draw it from behind.
+    pub shell: Option<Aabb>,
     /// Unit normal of the loop (Newell).
     pub normal: DVec3,
     /// Least extent across.
@@ -59,8 +61,8 @@ pub struct Occluders {
     pub(crate) corners: Vec<Vec3>,
     pub(crate) polygons: Vec<Polygon>,
     pub(crate) joints: Vec<Joint>,
-    /// Indices into `joints`, polygon by polygon.
-    pub(crate) joint_lists: Vec<u32>,
+    /// The other polygon and the index in `joints`, polygon by polygon.
+    pub(crate) joint_lists: Vec<[u32; 2]>,
     /// Polygon of each primitive, or `NONE`.
     polygon_of: Vec<u32>,
 }
@@ -135,6 +137,7 @@ struct Loop {
     corners: Vec<u32>,
     primitives: Vec<u32>,
     sides: Sides,
+    shell: Option<Aabb>,
     normal: DVec3,
 }
 
@@ -161,6 +164,7 @@ impl Loops {
                 corners: corners.to_vec(),
                 primitives: vec![primitive as u32],
                 sides: triangle.sides,
+                shell: None,
                 normal,
             });
         }
@@ -171,10 +175,11 @@ impl Loops {
         self.positions[corner as usize].as_dvec3()
     }
 
-    /// Makes the triangles of closed shells one-sided, which halves what is drawn.
+    /// Finds closed shells: seen from outside, their back sides need not be drawn, which halves the work.
     ///
-    /// A shell that faces outward and in which each edge is shared by exactly two triangles hides nothing more with its
-    /// back sides, as long as the eye is outside. If it is inside, less is hidden, which is never wrong.
+    /// If each edge is shared by exactly two triangles and the shell faces outward, its front is nearer wherever its
+    /// back could hide something, as long as the eye is outside; its box tells that well enough. (Not drawing something
+    /// is never wrong.)
     fn close_shells(&mut self) {
         let mut owners: HashMap<(u32, u32), Vec<u32>> = HashMap::new();
         for (index, polygon) in self.loops.iter().enumerate() {
@@ -205,8 +210,10 @@ impl Loops {
                 }
             }
             if closed && volume > 0.0 {
+                let corners = shell.iter().flat_map(|&index| &self.loops[index as usize].corners);
+                let aabb = corners.fold(Aabb::EMPTY, |aabb, &corner| aabb.with_point(self.at(corner)));
                 for index in shell {
-                    self.loops[index as usize].sides = Sides::Front;
+                    self.loops[index as usize].shell = Some(aabb);
                 }
             }
         }
@@ -247,10 +254,13 @@ impl Loops {
                 }
                 let primitives = std::mem::take(&mut self.loops[q as usize].primitives);
                 self.loops[q as usize].corners.clear();
+                // Outside the union of two shells' boxes is outside both.
+                let shell = self.loops[p as usize].shell.zip(self.loops[q as usize].shell);
                 let normal = newell(&self.positions, &joined).normalize();
                 let polygon = &mut self.loops[p as usize];
                 polygon.primitives.extend(primitives);
                 polygon.corners = joined;
+                polygon.shell = shell.map(|(p, q)| p.union(&q));
                 polygon.normal = normal;
                 false
             });
@@ -266,7 +276,7 @@ impl Loops {
             return None;
         }
         let (p, q) = (&self.loops[p as usize], &self.loops[q as usize]);
-        if p.sides != q.sides || p.normal.dot(q.normal) < 0.999 {
+        if p.sides != q.sides || p.shell.is_some() != q.shell.is_some() || p.normal.dot(q.normal) < 0.999 {
             return None;
         }
         let start = |corners: &[u32], corner| corners.iter().position(|&c| c == corner);
@@ -337,6 +347,7 @@ impl Loops {
                 count: corners.len() as u32,
                 joints: 0..0,
                 two_sided: polygon.sides == Sides::Both,
+                shell: polygon.shell,
                 normal: polygon.normal,
                 width,
                 aabb: corners.iter().fold(Aabb::EMPTY, |aabb, corner| aabb.with_point(corner.as_dvec3())),
@@ -395,9 +406,9 @@ impl Occluders {
         }
         let mut lists = vec![Vec::new(); self.polygons.len()];
         for (index, joint) in self.joints.iter().enumerate() {
-            for polygon in joint.polygons {
-                lists[polygon as usize].push(index as u32);
-            }
+            let [p, q] = joint.polygons;
+            lists[p as usize].push([q, index as u32]);
+            lists[q as usize].push([p, index as u32]);
         }
         for (polygon, list) in self.polygons.iter_mut().zip(lists) {
             let first = self.joint_lists.len() as u32;

@@ -214,14 +214,18 @@ impl Image {
             let far = face.linear(face.local(setup.far));
             face.fill(&region, [far]);
         }
-        for &joint in &occluders.joint_lists[joints_of(occluders, polygon)] {
-            self.draw_joint(occluders, joint);
+        for &[other, joint] in &occluders.joint_lists[joints_of(occluders, polygon)] {
+            let (frame, slot) = self.drawn[other as usize];
+            if frame == self.frame && slot != NONE {
+                self.draw_joint(occluders, joint);
+            }
         }
     }
 
     /// The polygon's planes as seen from the eye; `None` if it is seen edge-on or from a side that hides nothing.
     fn set_up(&mut self, occluders: &Occluders, index: u32) -> Option<Setup> {
         let polygon = &occluders.polygons[index as usize];
+        let from_behind_too = polygon.two_sided && polygon.shell.is_none_or(|shell| shell.contains(self.eye));
         let corners = occluders.corners(index);
         let corner = |i: usize| corners[i % corners.len()].as_dvec3();
         let normal = polygon.normal;
@@ -237,7 +241,7 @@ impl Image {
         let error = ROUNDING * longest;
         let (from_behind, near, far) = if high < -error {
             (false, high + error * 0.5, low - error)
-        } else if low > error && polygon.two_sided {
+        } else if low > error && from_behind_too {
             (true, low - error * 0.5, high + error)
         } else {
             return None;
@@ -258,17 +262,10 @@ impl Image {
         Some(Setup { edges: [first, self.edges.len() as u32], from_behind, far: normal / far, near })
     }
 
+    /// Draws the strip along the common line of two polygons that are both drawn.
     fn draw_joint(&mut self, occluders: &Occluders, index: u32) {
         let joint = &occluders.joints[index as usize];
-        let mut setups = [None; 2];
-        for (setup, polygon) in setups.iter_mut().zip(joint.polygons) {
-            let (frame, slot) = self.drawn[polygon as usize];
-            if frame != self.frame || slot == NONE {
-                return;
-            }
-            *setup = Some(self.setups[slot as usize]);
-        }
-        let [Some(p), Some(q)] = setups else { return };
+        let [p, q] = joint.polygons.map(|polygon| self.setups[self.drawn[polygon as usize].1 as usize]);
         // Each runs anticlockwise as seen from the eye, so they lie on opposite sides iff the edges run opposite.
         if !(joint.opposite ^ p.from_behind ^ q.from_behind) {
             return;
