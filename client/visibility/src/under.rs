@@ -464,7 +464,12 @@ impl Face {
             let (a, b) = (axis.dot(relative.min), axis.dot(relative.max));
             if a < b { [a, b] } else { [b, a] }
         };
-        let (x, y, z) = (along(self.right), along(self.up), along(self.forward));
+        let z = along(self.forward);
+        // Most faces are done here. A box that touches the eye has z[1] = 0 at least.
+        if z[1] < 0.0 {
+            return Seen::Outside;
+        }
+        let (x, y) = (along(self.right), along(self.up));
         let least = |[low, high]: [f64; 2]| low.max(-high).max(0.0);
         let nearest = z[0].max(least(x)).max(least(y));
         if z[1] < nearest {
