@@ -177,7 +177,7 @@ impl Loops {
 
     /// Finds closed shells: seen from outside, their back sides need not be drawn, which halves the work.
     ///
-    /// If each edge is shared by exactly two triangles and the shell faces outward, its front is nearer wherever its
+    /// If each edge runs both ways equally often and the shell faces outward, its front is nearer wherever its
     /// back could hide something, as long as the eye is outside; its box tells that well enough. (Not drawing something
     /// is never wrong.)
     fn close_shells(&mut self) {
@@ -201,11 +201,12 @@ impl Loops {
                 volume += a.cross(b).dot(c);
                 for (a, b) in edges(corners) {
                     let neighbours = owners.get(&(b, a)).map_or(&[][..], Vec::as_slice);
-                    closed &= neighbours.len() == 1 && owners[&(a, b)].len() == 1;
-                    for &neighbour in neighbours {
-                        if !std::mem::replace(&mut seen[neighbour as usize], true) {
-                            shell.push(neighbour);
-                        }
+                    closed &= neighbours.len() == owners[&(a, b)].len();
+                    // Where solids touch along an edge it is shared by four, and does not tell whose sides are whose.
+                    if let [neighbour] = *neighbours
+                        && !std::mem::replace(&mut seen[neighbour as usize], true)
+                    {
+                        shell.push(neighbour);
                     }
                 }
             }
@@ -395,10 +396,19 @@ impl Occluders {
                     if a.polygon == b.polygon || f64::from(high.distance(b.low)) < JOINT_MIN {
                         continue;
                     }
+                    // Of two polygons that are only seen from the front, edges in one direction lie on one side.
+                    let opposite = a.forward != b.forward;
+                    let front_only = |polygon: u32| {
+                        let polygon = &self.polygons[polygon as usize];
+                        polygon.shell.is_some() || !polygon.two_sided
+                    };
+                    if !opposite && front_only(a.polygon) && front_only(b.polygon) {
+                        continue;
+                    }
                     self.joints.push(Joint {
                         polygons: [a.polygon, b.polygon],
                         edges: [a.edge, b.edge],
-                        opposite: a.forward != b.forward,
+                        opposite,
                         ends: [b.low.as_dvec3(), high.as_dvec3()],
                     });
                 }

@@ -9,9 +9,14 @@ use glam::DVec3;
 /// Pixels along a tile's side.
 pub(crate) const TILE: usize = 8;
 
-/// Each edge moves inward by this much more than the pixel's own half extent. It pays for the rounding of spans: 10⁻⁵ pixel
-/// where they are computed (see [`Region::add_raw`]) and 2.5·10⁻⁴ where they become f32 (up to 4,096 pixels).
+/// Each edge moves inward by this much more than the pixel's own half extent, along x and along y: a bound x = k0 + k1·y
+/// by `(1 + |k1|)` times this. It pays for rounding in [`Face::fill`], where a row's bound is `start + k1·j` in f32 with
+/// j < 8: where that falls into an image of w pixels, |start| ≤ w + 8·|k1|, and three roundings of 2⁻²⁴ come to less
+/// than 2·10⁻⁷·w + 3·10⁻⁶·|k1|, that is a part of this for w ≤ [`SIDE_MAX`].
 const INSET_PX: f64 = 1e-3;
+
+/// Images are at most this wide and high.
+pub(crate) const SIDE_MAX: usize = 4096;
 
 /// How far a bound between rows is rounded to the nearest one: a part of [`INSET_PX`].
 const ROW_SLACK_PX: f64 = 1e-5;
@@ -173,6 +178,7 @@ impl Region {
 impl Face {
     /// An open image. Sizes are rounded up to whole tiles; only `width` × `height` pixels are ever asked about.
     pub fn new([right, up, forward]: [DVec3; 3], focal: f64, width: usize, height: usize) -> Face {
+        assert!(width.max(height) <= SIDE_MAX, "an image of {width}x{height} pixels is larger than {SIDE_MAX} a side");
         let (tiles_x, tiles_y) = (width.div_ceil(TILE), height.div_ceil(TILE));
         let (x, y) = (tiles_x as f64 * 4.0 / focal, tiles_y as f64 * 4.0 / focal);
         Face {
@@ -228,28 +234,29 @@ impl Face {
         let rows = [region.rows[0] as usize, region.rows[1] as usize];
         let planes = planes.map(|w| Linear { c: w.c - w.half_pixel() * (1.0 + 2.0 * INSET_PX), ..w });
         for tile_y in rows[0] / TILE..=rows[1] / TILE {
+            // Pixels count from `from` up to and including `to`. Neither becomes a whole number: comparing columns with
+            // them does the same, in vectors.
             let top = (tile_y * TILE) as f64;
-            let mut left = [0.0_f64; TILE];
-            let mut right = [region.width - 1.0; TILE];
+            let mut from = [0.0_f32; TILE];
+            let mut to = [region.width as f32 - 1.0; TILE];
             for &(k0, k1) in &region.bounds[..region.left_count] {
-                for (j, bound) in left.iter_mut().enumerate() {
-                    let x = k0 + k1 * (top + j as f64);
+                let (start, step) = ((k0 + k1 * top) as f32, k1 as f32);
+                for (j, bound) in from.iter_mut().enumerate() {
+                    let x = start + step * j as f32;
                     *bound = if x > *bound { x } else { *bound };
                 }
             }
             for &(k0, k1) in &region.bounds[Region::CONDITIONS_MAX - region.right_count..] {
-                for (j, bound) in right.iter_mut().enumerate() {
-                    let x = k0 + k1 * (top + j as f64);
+                let (start, step) = ((k0 + k1 * top) as f32, k1 as f32);
+                for (j, bound) in to.iter_mut().enumerate() {
+                    let x = start + step * j as f32;
                     *bound = if x < *bound { x } else { *bound };
                 }
             }
-            // Pixels count from `from` up to and including `to`. Neither becomes a whole number: comparing columns with
-            // them does the same, in vectors.
-            let from = left.map(|x| x as f32);
-            let mut to = right.map(|x| x as f32);
+            let (first, last) = ((region.rows[0] - top) as f32, (region.rows[1] - top) as f32);
             for (j, to) in to.iter_mut().enumerate() {
-                let row = top + j as f64;
-                *to = if (row >= region.rows[0]) & (row <= region.rows[1]) { *to } else { -1.0 };
+                let row = j as f32;
+                *to = if (row >= first) & (row <= last) { *to } else { -1.0 };
             }
             let (mut outer, mut inner) = ([f32::INFINITY, -1.0], [0.0, f32::INFINITY]);
             for (&from, &to) in from.iter().zip(&to) {

@@ -268,6 +268,32 @@ fn an_occluder_nearer_than_a_camera_can_draw_hides_nothing() {
 }
 
 #[test]
+fn a_bent_quad_hides_only_what_is_behind_its_farthest_corner() {
+    // Flat enough to be merged, but 0.02 mm deeper at one corner.
+    let at = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
+    let corners = [at(-0.9, -0.9, -1.0), at(0.9, -0.9, -1.0), at(0.9, 0.9, -1.00002), at(-0.9, 0.9, -1.0)];
+    let triangles = [[0, 1, 2], [0, 2, 3]]
+        .map(|i| Triangle { corners: i.map(|i| corners[i]), sides: Sides::Both, occludes: true })
+        .to_vec();
+    let scene = Scene::from_triangles(triangles.clone());
+    assert_eq!(Occluders::build(&scene).len(), 1);
+    let rays = Rays::new(&scene);
+    let occlusion = cull(triangles, DVec3::ZERO, 256);
+    let mut rng = Pcg64::seed_from_u64(9);
+    let mut hidden = 0;
+    for _ in 0..4000 {
+        let centre =
+            DVec3::new(rng.random_range(-0.8..0.8), rng.random_range(-0.8..0.8), rng.random_range(-1.0001..-0.9999));
+        let bound = Bound::Box(Aabb::around(centre, DVec3::new(0.01, 0.01, 1e-6)));
+        if occlusion.hides(&bound) {
+            hidden += 1;
+            assert_hidden(&scene, &rays, DVec3::ZERO, &bound, 20, &mut rng);
+        }
+    }
+    assert!(hidden > 100, "only {hidden}");
+}
+
+#[test]
 fn a_region_that_is_no_point_is_refused() {
     let mut occlusion = cull(Vec::new(), DVec3::ZERO, 16);
     assert_eq!(occlusion.start(EyeRegion { centre: DVec3::ZERO, radius: 0.2 }), Err(RegionError::NotAPoint(0.2)));
