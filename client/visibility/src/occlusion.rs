@@ -35,6 +35,12 @@ pub trait Target {
     /// Whether any point of the box may be seen past what was drawn so far: in the view, and not certainly behind.
     /// Rounds outward: doubt is `true`. A box that touches the eye or the near plane is visible.
     fn sees(&self, aabb: &crate::Aabb) -> bool;
+    /// Whether any point of the box may be in the view at all, whatever was drawn: the cheap half of [`Target::sees`],
+    /// for cells that are drawn by guess. Rounds outward too. A target that looks all round keeps this default.
+    fn in_view(&self, aabb: &crate::Aabb) -> bool {
+        let _ = aabb;
+        true
+    }
     /// Whether nothing more can be seen anywhere in the image, so that a traversal may stop.
     fn is_full(&self) -> bool;
 }

@@ -5,8 +5,8 @@ mod under_support;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, AllRound, Bound, EyeRegion, Occluders, Occlusion, RegionError, Resolution, Scene, Sides, Target, Triangle,
-    UnderOcclusion, View,
+    Aabb, AllRound, AllRoundCells, Bound, EyeRegion, Occluders, Occlusion, OctreeRules, RegionError, Resolution, Scene,
+    Sides, Target, Triangle, UnderOcclusion, View,
 };
 use glam::{DQuat, DVec3, Vec3};
 use proptest::prelude::*;
@@ -403,6 +403,41 @@ fn most_of_what_is_hidden_is_recognised() {
         println!("{corners:?}, turned by {turn}: {share:.4?} at 64, 128, 256 px");
         assert!(share.iter().zip(floor).all(|(share, floor)| *share >= floor), "{corners:?} {turn} {share:?}");
     }
+}
+
+#[test]
+fn cells_hide_only_what_is_hidden_and_find_every_visible_primitive() {
+    let mut rng = Pcg64::seed_from_u64(10);
+    let scene = Arc::new(rooms(4, Corners::Abut, Sides::Both, 0.0, &mut rng));
+    let rays = Rays::new(&scene);
+    let all_round = AllRoundCells::new(Arc::clone(&scene), OctreeRules::default());
+    let mut scratch = all_round.scratch(64);
+    let (mut hidden, mut most) = (0, 0);
+    for _ in 0..10 {
+        let eye = random_eye(4, 0.0, &mut rng);
+        let occlusion = all_round.cull(EyeRegion::point(eye), &mut scratch).unwrap();
+        for _ in 0..60 {
+            let bound = random_bound(&scene, &mut rng);
+            if occlusion.hides(&bound) {
+                hidden += 1;
+                assert_hidden(&scene, &rays, eye, &bound, 100, &mut rng);
+            }
+        }
+        let visible = scratch.visible();
+        most = most.max(visible.len());
+        for (id, triangle) in scene.triangles().iter().enumerate() {
+            if visible.binary_search(&(id as u32)).is_err() {
+                let [a, b, c] = triangle.corners.map(|c| c.as_dvec3());
+                for _ in 0..20 {
+                    let (u, v) = (rng.random_range(0.0..1.0_f64), rng.random_range(0.0..1.0_f64));
+                    let point = a.lerp(b, u).lerp(c, v);
+                    let before = eye.lerp(point, 1.0 - 1e-9);
+                    assert!(rays.blocked(eye, before), "primitive {id} is seen at {point} from {eye}");
+                }
+            }
+        }
+    }
+    assert!(hidden > 200 && most < scene.triangles().len() / 2, "{hidden} hidden, at most {most} visible");
 }
 
 fn coordinate() -> impl Strategy<Value = f32> {

@@ -1,0 +1,479 @@
+//! Which cells can be seen? Conservative Prioritized-Layered Projection (Klosowski & Silva 2001) over an octree.
+//!
+//! First PLP (Klosowski & Silva 2000, §3.2): from the eye's cell on, always project (draw the triangles of) the cell of
+//! the front with the least accumulated solidity, until a budget of triangles is spent. Then the conservative phase: ask
+//! the target which cells of the front can be seen past what was drawn, project those, and repeat until the front is
+//! empty. The order is a guess and only costs time; completeness rests on the queries.
+//!
+//! Why nothing visible is missed: take a pixel, its winner's point q and the segment from the eye to q. Each closed cell on
+//! the segment is at most as far as q, so it is *seen* whatever was drawn before (a tie is seen, (d) of DESIGN.md §4). The
+//! cells on it form a chain over shared faces, also where it runs along an edge, since every cell around the edge touches
+//! it and is seen too. The chain begins at a seed: a cell that touches the eye, or, where the segment enters the root
+//! box from outside, a cell with a hull face that faces the eye (b). So each of them is projected, the last of them with q's
+//! triangle (a). Nothing nearer than the near plane is drawn, but chains run through it: a target's cells have no near
+//! plane (c, e). Sealed faces (f) would save work and are not done yet: a wall in a cell face exposes the cell behind it.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use glam::DVec3;
+
+use crate::{Aabb, CellId, EyeRegion, Face, Octree, OctreeRules, Scene, Target};
+
+/// How much PLP may draw by guess before queries begin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Budget {
+    /// The PLP phase ends with the cell that reaches this number of triangles. 0: everything but the eye's cells is
+    /// queried.
+    pub triangles: usize,
+}
+
+impl Default for Budget {
+    fn default() -> Budget {
+        Budget { triangles: 500 }
+    }
+}
+
+/// What a traversal did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Traversal {
+    /// Cells whose triangles were drawn.
+    pub cells_projected: usize,
+    /// Times that a whole front was queried, as the paper counts: what a batched back end would wait for.
+    pub rounds: usize,
+    /// Cells asked about.
+    pub queries: usize,
+    /// Triangles drawn, each once: the size of the visible set.
+    pub triangles_drawn: usize,
+}
+
+/// PLP and cPLP over the cells of an octree. Never changes once made, so that workers can share it.
+#[derive(Clone, Debug)]
+pub struct Cplp {
+    octree: Octree,
+}
+
+/// What one worker needs to traverse, kept from frame to frame. Starting a frame touches nothing of the last one.
+#[derive(Clone, Debug, Default)]
+pub struct CplpScratch {
+    /// A mark is as old as its frame: `frame` marks count, others are as if never made.
+    frame: u32,
+    cells: Vec<CellState>,
+    /// Frame in which each primitive was drawn last.
+    drawn: Vec<u32>,
+    /// By solidity, then first in, first out. An entry counts only if the cell's state still has its `entered`.
+    front: BinaryHeap<Reverse<Entry>>,
+    /// Cells put into the front in a round, which are candidates only in the next one.
+    entered: u32,
+    round: Vec<Entry>,
+    seeds: Vec<CellId>,
+    batch: Vec<u32>,
+    visible: Vec<u32>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct CellState {
+    frame: u32,
+    /// Number of the entry in the front that counts; [`DONE`] once projected or found hidden.
+    entered: u32,
+    solidity: f32,
+}
+
+const DONE: u32 = u32::MAX;
+
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    solidity: f32,
+    entered: u32,
+    cell: CellId,
+}
+
+impl Ord for Entry {
+    fn cmp(&self, other: &Entry) -> std::cmp::Ordering {
+        self.solidity.total_cmp(&other.solidity).then(self.entered.cmp(&other.entered))
+    }
+}
+
+impl PartialOrd for Entry {
+    fn partial_cmp(&self, other: &Entry) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Entry {
+    fn eq(&self, other: &Entry) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Entry {}
+
+impl CplpScratch {
+    /// The primitives that the last traversal drew, ascending, each once: its visible set.
+    pub fn visible(&self) -> &[u32] {
+        &self.visible
+    }
+
+    fn begin(&mut self, octree: &Octree) {
+        self.frame = self.frame.wrapping_add(1);
+        if self.frame == 0 {
+            // Old marks would look new after 2³² frames.
+            self.cells.fill(CellState::default());
+            self.drawn.fill(0);
+            self.frame = 1;
+        }
+        self.cells.resize(octree.cell_count(), CellState::default());
+        self.drawn.resize(octree.primitive_total(), 0);
+        self.front.clear();
+        self.entered = 0;
+        self.visible.clear();
+    }
+
+    fn is_done(&self, cell: CellId) -> bool {
+        let state = self.cells[cell as usize];
+        state.frame == self.frame && state.entered == DONE
+    }
+
+    fn set_done(&mut self, cell: CellId) {
+        let state = &mut self.cells[cell as usize];
+        state.frame = self.frame;
+        state.entered = DONE;
+    }
+
+    /// Puts a cell into the front, or again with another solidity.
+    fn enqueue(&mut self, cell: CellId, solidity: f32) {
+        self.cells[cell as usize] = CellState { frame: self.frame, entered: self.entered, solidity };
+        self.front.push(Reverse(Entry { solidity, entered: self.entered, cell }));
+        self.entered += 1;
+    }
+
+    /// Takes the least solid cell out of the front.
+    fn pop(&mut self) -> Option<CellId> {
+        while let Some(Reverse(entry)) = self.front.pop() {
+            if self.cells[entry.cell as usize].entered == entry.entered {
+                return Some(entry.cell);
+            }
+        }
+        None
+    }
+}
+
+impl Cplp {
+    /// Traverses these cells.
+    pub fn new(octree: Octree) -> Cplp {
+        Cplp { octree }
+    }
+
+    /// Splits the scene by `rules` and traverses those cells.
+    pub fn build(scene: &Scene, rules: OctreeRules) -> Cplp {
+        Cplp::new(Octree::build(scene, rules))
+    }
+
+    /// The cells.
+    pub fn octree(&self) -> &Octree {
+        &self.octree
+    }
+
+    /// Draws every cell of `scene` that may be seen from the eye region into `target`, which must be empty, and leaves the
+    /// visible set in `scratch`. The scene must be the one that the octree was built for.
+    ///
+    /// With a radius the cells within reach of the ball are seeds, and so is each hull cell that some eye of it faces from
+    /// outside; `target.sees` must then hold for every eye of the ball (occluders shrunk, boxes grown), as must "out of
+    /// view". A target for the centre alone would miss what only the others see.
+    pub fn traverse<T: Target>(
+        &self,
+        scene: &Scene,
+        eye: EyeRegion,
+        budget: Budget,
+        target: &mut T,
+        scratch: &mut CplpScratch,
+    ) -> Traversal {
+        assert_eq!(scene.triangles().len(), self.octree.primitive_total(), "the octree is another scene's");
+        let mut run = Run { octree: &self.octree, eye: eye.centre, target, scratch, done: Traversal::default() };
+        run.scratch.begin(&self.octree);
+        run.seed(eye);
+        run.plp(budget);
+        run.conservative();
+        run.scratch.visible.sort_unstable();
+        run.done.triangles_drawn = run.scratch.visible.len();
+        run.done
+    }
+
+    /// PLP alone: stops when the budget is spent, whatever is still visible. Not conservative.
+    pub fn traverse_plp<T: Target>(
+        &self,
+        scene: &Scene,
+        eye: EyeRegion,
+        budget: Budget,
+        target: &mut T,
+        scratch: &mut CplpScratch,
+    ) -> Traversal {
+        assert_eq!(scene.triangles().len(), self.octree.primitive_total(), "the octree is another scene's");
+        let mut run = Run { octree: &self.octree, eye: eye.centre, target, scratch, done: Traversal::default() };
+        run.scratch.begin(&self.octree);
+        run.seed(eye);
+        run.plp(budget);
+        run.scratch.visible.sort_unstable();
+        run.done.triangles_drawn = run.scratch.visible.len();
+        run.done
+    }
+}
+
+/// One traversal under way.
+struct Run<'a, T> {
+    octree: &'a Octree,
+    eye: DVec3,
+    target: &'a mut T,
+    scratch: &'a mut CplpScratch,
+    done: Traversal,
+}
+
+impl<T: Target> Run<'_, T> {
+    /// Projects the cells that touch the eye region, and puts hull cells that face it from outside into the front.
+    fn seed(&mut self, eye: EyeRegion) {
+        let root = self.octree.root();
+        let mut seeds = std::mem::take(&mut self.scratch.seeds);
+        for face in Face::ALL {
+            if face.height(&root, eye.centre) > -eye.radius {
+                seeds.extend_from_slice(self.octree.hull(face));
+            }
+        }
+        // Nearest first: PLP's own seed, and a good order for occlusion.
+        seeds.sort_by(|&a, &b| {
+            let distance = |cell| self.octree.cell(cell).distance(eye.centre);
+            distance(a).total_cmp(&distance(b)).then(a.cmp(&b))
+        });
+        seeds.dedup();
+        for &cell in &seeds {
+            self.scratch.enqueue(cell, 0.0);
+        }
+        seeds.clear();
+        self.octree.cells_within(eye.centre, eye.radius, |cell| seeds.push(cell));
+        for &cell in &seeds {
+            self.scratch.enqueue(cell, 0.0);
+            self.project(cell);
+        }
+        seeds.clear();
+        self.scratch.seeds = seeds;
+    }
+
+    /// Projects by solidity alone until the budget is spent.
+    fn plp(&mut self, budget: Budget) {
+        while self.scratch.visible.len() < budget.triangles {
+            let Some(cell) = self.scratch.pop() else { break };
+            if self.target.in_view(self.octree.cell(cell)) {
+                self.project(cell);
+            } else {
+                self.scratch.set_done(cell);
+            }
+        }
+    }
+
+    /// Queries whole fronts until one is empty. What is found hidden is so for good, since drawing only hides more.
+    fn conservative(&mut self) {
+        let mut round = std::mem::take(&mut self.scratch.round);
+        while !self.target.is_full() {
+            round.clear();
+            while let Some(cell) = self.scratch.pop() {
+                let CellState { solidity, entered, .. } = self.scratch.cells[cell as usize];
+                round.push(Entry { solidity, entered, cell });
+            }
+            if round.is_empty() {
+                break;
+            }
+            self.done.rounds += 1;
+            for &Entry { cell, .. } in &round {
+                // Asking just before drawing, not all before all, lets a round's cells hide each other.
+                self.done.queries += 1;
+                if self.target.sees(self.octree.cell(cell)) {
+                    self.project(cell);
+                } else {
+                    self.scratch.set_done(cell);
+                }
+            }
+        }
+        self.scratch.round = round;
+    }
+
+    /// Draws what a cell holds, and puts its neighbours into the front.
+    fn project(&mut self, cell: CellId) {
+        self.scratch.set_done(cell);
+        self.done.cells_projected += 1;
+        let scratch = &mut *self.scratch;
+        scratch.batch.clear();
+        for &id in self.octree.primitives(cell) {
+            let drawn = &mut scratch.drawn[id as usize];
+            if *drawn != scratch.frame {
+                *drawn = scratch.frame;
+                scratch.batch.push(id);
+            }
+        }
+        if !scratch.batch.is_empty() {
+            scratch.visible.extend_from_slice(&scratch.batch);
+            self.target.draw(&scratch.batch);
+        }
+        for neighbour in self.octree.neighbours(cell) {
+            if !self.scratch.is_done(neighbour.cell) {
+                let solidity = self.solidity(neighbour.cell, cell, neighbour.face);
+                self.scratch.enqueue(neighbour.cell, solidity);
+            }
+        }
+    }
+
+    /// PLP's `update_solidity(b, a)`, figure 5, for the face of `a` that leads to `b`.
+    ///
+    /// The view direction is the one from the eye to the middle of the shared face, not the camera's, so that it means
+    /// the same for a target that looks all round. A face that looks back at the eye transfers nothing.
+    fn solidity(&self, b: CellId, a: CellId, face: Face) -> f32 {
+        let (box_a, box_b) = (self.octree.cell(a), self.octree.cell(b));
+        let shared = Aabb::new(box_a.min.max(box_b.min), box_a.max.min(box_b.max));
+        let axis = face.axis();
+        let sign = if face.is_positive() { 1.0 } else { -1.0 };
+        let towards = (shared.centre() - self.eye).normalize_or_zero();
+        let alignment = (towards[axis] * sign).max(0.0) as f32;
+        let own = self.octree.primitives(a).len() as f32 / self.octree.primitives_max().max(1) as f32;
+        let solidity = own + alignment * self.scratch.cells[a as usize].solidity;
+        if star_shaped(self.eye, box_b, &shared, axis) { solidity } else { solidity * STAR_PENALTY }
+    }
+}
+
+/// Factor for a cell whose middle is not seen from the eye through the shared face. The papers give no value.
+const STAR_PENALTY: f32 = 2.0;
+
+/// Whether the segment from the eye to the middle of `cell` passes through `shared`, a face perpendicular to `axis`.
+fn star_shaped(eye: DVec3, cell: &Aabb, shared: &Aabb, axis: usize) -> bool {
+    let along = cell.centre() - eye;
+    let t = (shared.min[axis] - eye[axis]) / along[axis];
+    let at = eye + along * t;
+    (0.0..=1.0).contains(&t)
+        && (0..3).all(|other| other == axis || (shared.min[other]..=shared.max[other]).contains(&at[other]))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::{Sides, Triangle};
+
+    /// Sees boxes whose middle a predicate likes, and remembers what was drawn.
+    struct Probe<F> {
+        sees: F,
+        drawn: Vec<u32>,
+        full: bool,
+    }
+
+    impl<F: Fn(&Aabb) -> bool> Target for Probe<F> {
+        fn draw(&mut self, primitives: &[u32]) {
+            self.drawn.extend_from_slice(primitives);
+        }
+        fn sees(&self, aabb: &Aabb) -> bool {
+            (self.sees)(aabb)
+        }
+        fn is_full(&self) -> bool {
+            self.full
+        }
+    }
+
+    fn probe<F: Fn(&Aabb) -> bool>(sees: F) -> Probe<F> {
+        Probe { sees, drawn: Vec::new(), full: false }
+    }
+
+    /// A field of small triangles, one per metre of a square.
+    fn field(side: u32) -> Scene {
+        let triangle = |i: u32| {
+            let at = Vec3::new((i % side) as f32, 0.0, (i / side) as f32);
+            Triangle { corners: [at, at + Vec3::X * 0.3, at + Vec3::Y * 0.3], sides: Sides::Both, occludes: true }
+        };
+        Scene::from_triangles((0..side * side).map(triangle).collect())
+    }
+
+    fn cplp(scene: &Scene) -> Cplp {
+        Cplp::build(scene, OctreeRules::default().with_max_triangles_per_leaf(4))
+    }
+
+    const NO_GUESS: Budget = Budget { triangles: 0 };
+
+    #[test]
+    fn where_nothing_is_hidden_everything_is_drawn_once() {
+        let scene = field(20);
+        let cplp = cplp(&scene);
+        let mut scratch = CplpScratch::default();
+        for (eye, budget) in [
+            (DVec3::new(5.0, 0.1, 5.0), NO_GUESS),
+            (DVec3::new(-50.0, 3.0, 5.0), NO_GUESS),
+            (DVec3::new(5.0, 0.1, 5.0), Budget { triangles: 100 }),
+            (cplp.octree().root().max, NO_GUESS),
+            (DVec3::new(5.0, 0.1, 5.0), Budget { triangles: usize::MAX }),
+        ] {
+            let mut target = probe(|_| true);
+            let done = cplp.traverse(&scene, EyeRegion::point(eye), budget, &mut target, &mut scratch);
+            assert_eq!(scratch.visible(), (0..400).collect::<Vec<u32>>());
+            assert_eq!(done.triangles_drawn, 400);
+            assert_eq!(done.cells_projected, cplp.octree().cell_count());
+            target.drawn.sort_unstable();
+            assert_eq!(target.drawn, scratch.visible());
+        }
+    }
+
+    #[test]
+    fn where_everything_is_hidden_only_the_cells_at_the_eye_are_drawn() {
+        let scene = field(20);
+        let cplp = cplp(&scene);
+        let mut scratch = CplpScratch::default();
+        let eye = EyeRegion::point(DVec3::new(5.123, 0.1, 5.123));
+        let mut target = probe(|_| false);
+        let done = cplp.traverse(&scene, eye, NO_GUESS, &mut target, &mut scratch);
+        let cell = cplp.octree().cell_at(eye.centre).unwrap();
+        assert_eq!(scratch.visible(), cplp.octree().primitives(cell));
+        assert_eq!((done.cells_projected, done.rounds), (1, 1));
+        assert_eq!(done.queries, cplp.octree().neighbours(cell).len());
+
+        let far = EyeRegion::point(DVec3::new(-50.0, 0.1, 5.0));
+        let done = cplp.traverse(&scene, far, NO_GUESS, &mut probe(|_| false), &mut scratch);
+        assert_eq!(scratch.visible(), []);
+        assert_eq!(done.queries, cplp.octree().hull(Face::ALL[0]).len());
+    }
+
+    #[test]
+    fn a_traversal_crosses_only_cells_that_are_seen() {
+        let scene = field(20);
+        let cplp = cplp(&scene);
+        let mut scratch = CplpScratch::default();
+        let eye = EyeRegion::point(DVec3::new(2.1, 0.1, 2.1));
+        // A wall at x = 10 with a door near z = 15.
+        let open =
+            |aabb: &Aabb| !(aabb.min.x <= 10.0 && aabb.max.x >= 10.0) || (aabb.min.z <= 15.0 && aabb.max.z >= 15.0);
+        cplp.traverse(&scene, eye, NO_GUESS, &mut probe(open), &mut scratch);
+        assert!(scratch.visible().contains(&399));
+        let shut = |aabb: &Aabb| !(aabb.min.x <= 10.0 && aabb.max.x >= 10.0);
+        cplp.traverse(&scene, eye, NO_GUESS, &mut probe(shut), &mut scratch);
+        assert!(!scratch.visible().contains(&399));
+        assert!(scratch.visible().len() > 100);
+    }
+
+    #[test]
+    fn plp_alone_keeps_to_its_budget() {
+        let scene = field(20);
+        let cplp = cplp(&scene);
+        let mut scratch = CplpScratch::default();
+        let eye = EyeRegion::point(DVec3::new(2.1, 0.1, 2.1));
+        let done = cplp.traverse_plp(&scene, eye, Budget { triangles: 50 }, &mut probe(|_| true), &mut scratch);
+        assert!((50..50 + cplp.octree().primitives_max()).contains(&done.triangles_drawn));
+        assert_eq!((done.queries, done.rounds), (0, 0));
+    }
+
+    #[test]
+    fn a_ball_of_eyes_seeds_all_cells_in_reach() {
+        let scene = field(20);
+        let cplp = cplp(&scene);
+        let mut scratch = CplpScratch::default();
+        let eye = EyeRegion { centre: DVec3::new(10.0, 0.1, 10.0), radius: 3.0 };
+        cplp.traverse(&scene, eye, NO_GUESS, &mut probe(|_| false), &mut scratch);
+        for (id, triangle) in (0..).zip(scene.triangles()) {
+            if triangle.aabb().distance(eye.centre) < 3.0 {
+                assert!(scratch.visible().contains(&id));
+            }
+        }
+    }
+}

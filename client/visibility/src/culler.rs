@@ -1,0 +1,184 @@
+//! Which triangles can be seen from a view? The static cullers, and the item buffer of everything that checks them.
+
+use std::sync::Arc;
+
+use crate::raster_sampled::Coverage;
+use crate::{
+    Aabb, Bound, Budget, Cplp, CplpScratch, DepthBuffer, EyeRegion, ItemBuffer, Occlusion, OctreeRules, Resolution,
+    Scene, Traversal, View,
+};
+
+/// A static culler. Shared by workers, each of which brings its scratch.
+pub trait Culler {
+    /// The visible set of a view, for every eye of the region, and in `scratch` the occlusion that was found on the way.
+    fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled;
+}
+
+/// What a culler reports.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Culled {
+    /// Ids of the primitives that may be seen, ascending, each once: the visible set. To be drawn in this order.
+    pub visible: Vec<u32>,
+    /// What the traversal did; zeros for cullers without one.
+    pub traversal: Traversal,
+}
+
+/// What one worker needs to cull, kept from frame to frame.
+#[derive(Clone, Debug)]
+pub struct Scratch {
+    cplp: CplpScratch,
+    depth: DepthBuffer,
+    /// Whether `depth` speaks for the region of the last cull.
+    occludes: bool,
+}
+
+impl Default for Scratch {
+    fn default() -> Scratch {
+        let nowhere = View::level(glam::DVec3::ZERO, 0.0, 1.0, Resolution::new(0, 0));
+        Scratch { cplp: CplpScratch::default(), depth: DepthBuffer::new(&nowhere), occludes: false }
+    }
+}
+
+impl Scratch {
+    /// What the last cull knows to be hidden: in that view and at that resolution (see [`DepthBuffer`]).
+    pub fn occlusion(&self) -> &dyn Occlusion {
+        if self.occludes { &self.depth } else { &NothingHidden }
+    }
+
+    /// Starts a frame; whether the depth buffer can speak for `region` at all.
+    fn begin(&mut self, view: &View, region: EyeRegion) -> bool {
+        self.occludes = region == EyeRegion::point(view.eye);
+        if self.occludes {
+            self.depth.begin(view);
+        }
+        self.occludes
+    }
+}
+
+/// The occlusion of an empty world without edges.
+struct NothingHidden;
+
+impl Occlusion for NothingHidden {
+    fn hides(&self, _: &Bound) -> bool {
+        false
+    }
+}
+
+/// Everything is visible: the baseline ZB.
+#[derive(Clone, Debug)]
+pub struct ZBuffer {
+    scene: Arc<Scene>,
+}
+
+impl ZBuffer {
+    /// The baseline over a scene.
+    pub fn new(scene: Arc<Scene>) -> ZBuffer {
+        ZBuffer { scene }
+    }
+}
+
+impl Culler for ZBuffer {
+    fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
+        scratch.begin(view, region);
+        everything(&self.scene)
+    }
+}
+
+/// What is in view and not turned away: the baseline VF-BF.
+///
+/// Exactly the triangles that reach the rasteriser's pixels, occlusion apart, after view-frustum culling of runs of
+/// primitives that follow each other. An eye region that is not the view's eye gets everything.
+#[derive(Clone, Debug)]
+pub struct FrustumBackface {
+    scene: Arc<Scene>,
+    /// The box of each run of [`RUN`] primitives.
+    runs: Vec<Aabb>,
+}
+
+/// Primitives of a file that follow each other are mostly near each other.
+const RUN: usize = 64;
+
+impl FrustumBackface {
+    /// The baseline over a scene.
+    pub fn new(scene: Arc<Scene>) -> FrustumBackface {
+        let aabb = |run: &[crate::Triangle]| run.iter().fold(Aabb::EMPTY, |aabb, t| aabb.union(&t.aabb()));
+        let runs = scene.triangles().chunks(RUN).map(aabb).collect();
+        FrustumBackface { scene, runs }
+    }
+}
+
+impl Culler for FrustumBackface {
+    fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
+        if !scratch.begin(view, region) {
+            return everything(&self.scene);
+        }
+        let coverage = Coverage::new(view);
+        let mut visible = Vec::new();
+        for ((first, aabb), run) in (0..).step_by(RUN).zip(&self.runs).zip(self.scene.triangles().chunks(RUN)) {
+            if scratch.depth.in_view(aabb) {
+                visible.extend((first..).zip(run).filter(|(_, t)| coverage.may_draw(t)).map(|(id, _)| id));
+            }
+        }
+        Culled { visible, traversal: Traversal::default() }
+    }
+}
+
+/// Conservative PLP over octree cells with the CPU's sampled depth buffer as its query back end.
+///
+/// An eye region that is not the view's eye gets everything, since the depth buffer speaks for one eye; use
+/// [`Cplp::traverse`] with a target that is made for the region.
+#[derive(Clone, Debug)]
+pub struct CplpCuller {
+    scene: Arc<Scene>,
+    cplp: Arc<Cplp>,
+    budget: Budget,
+}
+
+impl CplpCuller {
+    /// Culls with cells that were made for this scene.
+    pub fn new(scene: Arc<Scene>, cplp: Arc<Cplp>, budget: Budget) -> CplpCuller {
+        assert_eq!(scene.triangles().len(), cplp.octree().primitive_total(), "the octree is another scene's");
+        CplpCuller { scene, cplp, budget }
+    }
+
+    /// Makes the cells by default rules.
+    pub fn build(scene: Arc<Scene>) -> CplpCuller {
+        let cplp = Arc::new(Cplp::build(&scene, OctreeRules::default()));
+        CplpCuller::new(scene, cplp, Budget::default())
+    }
+
+    /// The traversal and its cells.
+    pub fn cplp(&self) -> &Arc<Cplp> {
+        &self.cplp
+    }
+}
+
+impl Culler for CplpCuller {
+    fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
+        if !scratch.begin(view, region) {
+            return everything(&self.scene);
+        }
+        let mut target = scratch.depth.target(&self.scene);
+        let traversal = self.cplp.traverse(&self.scene, region, self.budget, &mut target, &mut scratch.cplp);
+        Culled { visible: scratch.cplp.visible().to_vec(), traversal }
+    }
+}
+
+fn everything(scene: &Scene) -> Culled {
+    Culled { visible: (0..scene.triangles().len() as u32).collect(), traversal: Traversal::default() }
+}
+
+/// The exact set of a view, ascending, and the item buffer of everything that proves it: the plain Z-buffer's picture.
+pub fn exact_set(scene: &Scene, view: &View) -> (Vec<u32>, ItemBuffer) {
+    let mut items = ItemBuffer::new(view);
+    items.draw_all(scene);
+    (items.winners(), items)
+}
+
+/// Number of pixels whose winner differs from the plain Z-buffer's (`exact`, of the same view) when only `visible` is drawn.
+pub fn wrong_pixels(scene: &Scene, view: &View, visible: &[u32], exact: &ItemBuffer) -> usize {
+    let mut items = ItemBuffer::new(view);
+    items.draw(scene, visible);
+    assert_eq!(items.resolution(), exact.resolution(), "the images are of different views");
+    items.ids().iter().zip(exact.ids()).filter(|(here, there)| here != there).count()
+}

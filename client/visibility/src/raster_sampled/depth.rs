@@ -1,0 +1,224 @@
+//! Can a box be seen past what was drawn? Depths of occluders, with the farthest one of each tile.
+
+use std::cell::Cell;
+
+use super::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
+use crate::{Aabb, Bound, Occlusion, Scene, Target, View};
+
+/// Side of a tile in pixels.
+const TILE: usize = 8;
+
+/// Depths of the occluders of one view, and the farthest of each tile.
+///
+/// As an [`Occlusion`] it speaks for the view it was made for and its pixel centres only: what it hides, drawn by
+/// [`crate::ItemBuffer`] in this very view, wins no pixel. Out of view counts as hidden. Other resolutions and eyes may see it.
+#[derive(Clone, Debug)]
+pub struct DepthBuffer {
+    projector: Projector,
+    /// Rows of `tiles_x` · 8 pixels. Those beyond the image are infinitely near and never seen through.
+    depths: Vec<f32>,
+    tiles_x: usize,
+    /// At most the least (farthest) depth of each tile's pixels. Equal to it unless `stale`.
+    farthest: Vec<Cell<f32>>,
+    stale: Vec<Cell<bool>>,
+}
+
+impl DepthBuffer {
+    /// An empty image of a view.
+    pub fn new(view: &View) -> DepthBuffer {
+        let mut buffer = DepthBuffer {
+            projector: Projector::new(view),
+            depths: Vec::new(),
+            tiles_x: 0,
+            farthest: Vec::new(),
+            stale: Vec::new(),
+        };
+        buffer.begin(view);
+        buffer
+    }
+
+    /// Forgets everything and starts an image of another view.
+    pub fn begin(&mut self, view: &View) {
+        self.projector = Projector::new(view);
+        let (width, height) = (view.resolution.width as usize, view.resolution.height as usize);
+        self.tiles_x = width.div_ceil(TILE);
+        let tiles_y = height.div_ceil(TILE);
+        let stride = self.tiles_x * TILE;
+        self.depths.clear();
+        self.depths.resize(stride * height, 0.0);
+        if stride != width {
+            for row in self.depths.chunks_exact_mut(stride) {
+                row[width..].fill(f32::INFINITY);
+            }
+        }
+        self.depths.resize(stride * tiles_y * TILE, f32::INFINITY);
+        self.farthest.clear();
+        self.farthest.resize(self.tiles_x * tiles_y, Cell::new(0.0));
+        self.stale.clear();
+        self.stale.resize(self.tiles_x * tiles_y, Cell::new(false));
+    }
+
+    /// The target that draws primitives of `scene` into this image.
+    pub fn target<'a>(&'a mut self, scene: &'a Scene) -> SampledTarget<'a> {
+        SampledTarget { scene, buffer: self }
+    }
+
+    /// Draws those of the primitives that occlude.
+    pub fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
+        let stride = self.tiles_x * TILE;
+        let (depths, stale, tiles_x) = (&mut self.depths, &self.stale, self.tiles_x);
+        let last_row = self.projector.height - 1;
+        for &id in primitives {
+            let triangle = &scene.triangles()[id as usize];
+            if !triangle.occludes {
+                continue;
+            }
+            self.projector.pieces(triangle.corners.map(|corner| corner.as_dvec3()), triangle.sides, |piece| {
+                let [from, to] = piece.x.map(|x| x as usize / TILE);
+                for tile_y in piece.y[0] as usize / TILE..=piece.y[1] as usize / TILE {
+                    stale[tile_y * tiles_x + from..=tile_y * tiles_x + to].iter().for_each(|stale| stale.set(true));
+                }
+                piece.spans([0, last_row], |y, first, last, ramp| {
+                    let row = y as usize * stride;
+                    ramp.draw_depths(0, &mut depths[row + first as usize..=row + last as usize]);
+                });
+            });
+        }
+    }
+
+    /// Whether any pixel centre may see any of the box, whatever was drawn.
+    pub(crate) fn in_view(&self, aabb: &Aabb) -> bool {
+        !matches!(self.place(aabb), Place::Outside)
+    }
+
+    /// What the image can say about a box before it looks at depths.
+    fn place(&self, aabb: &Aabb) -> Place {
+        let projector = &self.projector;
+        if aabb.contains(projector.eye()) {
+            return Place::Touching;
+        }
+        let points = aabb.corners().map(|corner| projector.view_point(corner));
+        let mut w = [f64::INFINITY, f64::NEG_INFINITY];
+        let mut size = 0.0_f64;
+        for p in &points {
+            w = [w[0].min(p.w), w[1].max(p.w)];
+            size = size.max(p.x.abs() + p.y.abs() + p.w.abs());
+        }
+        // Rounding of the transform, which cancels where a far corner lies beside the eye.
+        let slack = size * 1e-12;
+        if w[1] < -slack {
+            return Place::Outside;
+        }
+        let nearest = w[0] - slack;
+        if nearest <= projector.near {
+            return if projector.outside(&points, slack) { Place::Outside } else { Place::Touching };
+        }
+        let mut x = [f64::INFINITY, f64::NEG_INFINITY];
+        let mut y = x;
+        for &ViewPoint { x: right, y: up, w } in &points {
+            let per_metre = projector.focal_px / w;
+            let (column, row) = (projector.middle[0] + right * per_metre, projector.middle[1] - up * per_metre);
+            x = [x[0].min(column), x[1].max(column)];
+            y = [y[0].min(row), y[1].max(row)];
+        }
+        let spread = 2.0 * SNAP_PX + slack / nearest * projector.focal_px;
+        let [x, y] = [(x, projector.width), (y, projector.height)].map(|(range, size)| centres(range, spread, size));
+        if x[0] > x[1] || y[0] > y[1] {
+            return Place::Outside;
+        }
+        let z = (projector.near / nearest * (1.0 + 2.0 * DEPTH_SLACK)) as f32;
+        Place::In { x: x.map(|x| x as usize), y: y.map(|y| y as usize), z }
+    }
+
+    fn sees(&self, aabb: &Aabb) -> bool {
+        match self.place(aabb) {
+            Place::Outside => false,
+            Place::Touching => true,
+            Place::In { x, y, z } => (y[0] / TILE..=y[1] / TILE).any(|tile_y| {
+                let tiles = tile_y * self.tiles_x + x[0] / TILE..=tile_y * self.tiles_x + x[1] / TILE;
+                let mut tile_x = x[0] / TILE;
+                self.farthest[tiles].iter().any(|farthest| {
+                    let seen = farthest.get() <= z && self.sees_in_tile(tile_x, tile_y, x, y, z);
+                    tile_x += 1;
+                    seen
+                })
+            }),
+        }
+    }
+
+    /// Whether any pixel of the tile in the rectangle is no nearer than `z`.
+    #[inline(never)]
+    fn sees_in_tile(&self, tile_x: usize, tile_y: usize, x: [usize; 2], y: [usize; 2], z: f32) -> bool {
+        let stride = self.tiles_x * TILE;
+        let tile = tile_y * self.tiles_x + tile_x;
+        let at = tile_y * TILE * stride + tile_x * TILE;
+        if self.stale[tile].replace(false) {
+            let mut least = [f32::INFINITY; TILE];
+            for row in 0..TILE {
+                let row = &self.depths[at + row * stride..][..TILE];
+                for (least, &depth) in least.iter_mut().zip(row) {
+                    *least = if depth < *least { depth } else { *least };
+                }
+            }
+            self.farthest[tile].set(least.into_iter().fold(f32::INFINITY, f32::min));
+        }
+        if self.farthest[tile].get() > z {
+            return false;
+        }
+        let [x0, x1] = [x[0].max(tile_x * TILE), x[1].min(tile_x * TILE + TILE - 1)];
+        let [y0, y1] = [y[0].max(tile_y * TILE), y[1].min(tile_y * TILE + TILE - 1)];
+        (y0..=y1).any(|y| self.depths[y * stride + x0..=y * stride + x1].iter().any(|&depth| depth <= z))
+    }
+}
+
+/// The first and last pixel of `size` whose centre lies in `range` widened by `spread`; descending if there is none.
+fn centres(range: [f64; 2], spread: f64, size: i32) -> [i32; 2] {
+    let size = f64::from(size);
+    // Relative rounding of coordinates far outside the image does not matter after clamping.
+    let low = (range[0] - spread - 0.5).clamp(0.0, size);
+    let high = (range[1] + spread - 0.5).clamp(-1.0, size - 1.0);
+    let [from, to] = [low as i32, high as i32];
+    [from + i32::from(f64::from(from) < low), to - i32::from(f64::from(to) > high)]
+}
+
+/// Where a box is.
+enum Place {
+    /// No pixel centre sees any of it.
+    Outside,
+    /// It touches the eye or the near plane and may be in view.
+    Touching,
+    /// It is behind the near plane, and meets these columns and rows (first and last) no nearer than this reversed depth.
+    In { x: [usize; 2], y: [usize; 2], z: f32 },
+}
+
+impl Occlusion for DepthBuffer {
+    fn hides(&self, bound: &Bound) -> bool {
+        bound.aabb().is_some_and(|aabb| !self.sees(&aabb))
+    }
+}
+
+/// A [`DepthBuffer`] with the scene whose primitives are drawn into it.
+#[derive(Debug)]
+pub struct SampledTarget<'a> {
+    scene: &'a Scene,
+    buffer: &'a mut DepthBuffer,
+}
+
+impl Target for SampledTarget<'_> {
+    fn draw(&mut self, primitives: &[u32]) {
+        self.buffer.draw(self.scene, primitives);
+    }
+
+    fn sees(&self, aabb: &Aabb) -> bool {
+        self.buffer.sees(aabb)
+    }
+
+    fn in_view(&self, aabb: &Aabb) -> bool {
+        self.buffer.in_view(aabb)
+    }
+
+    /// Only an image without pixels is: what is covered may still be covered by something nearer.
+    fn is_full(&self) -> bool {
+        self.buffer.depths.is_empty()
+    }
+}

@@ -1,0 +1,114 @@
+//! Scenes that tests and benchmarks make: soups, and buildings of rooms with doors and furniture.
+
+#![allow(dead_code, reason = "each user takes what it needs")]
+
+use std::f64::consts::{PI, TAU};
+
+use eyeline_visibility::{Resolution, Scene, Sides, Triangle, View};
+use glam::{DQuat, DVec3, Vec3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+/// Side of a room, height of a storey, door width and height, wall thickness, in metres.
+pub const ROOM: f32 = 5.0;
+const HEIGHT: f32 = 3.0;
+const DOOR: [f32; 2] = [1.0, 2.1];
+const WALL: f32 = 0.1;
+
+/// Adds the twelve triangles of a box.
+pub fn add_box(triangles: &mut Vec<Triangle>, min: Vec3, max: Vec3, sides: Sides, occludes: bool) {
+    let corner = |i: usize| {
+        Vec3::new(
+            if i & 1 == 0 { min.x } else { max.x },
+            if i & 2 == 0 { min.y } else { max.y },
+            if i & 4 == 0 { min.z } else { max.z },
+        )
+    };
+    for [a, b, c, d] in [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]] {
+        for corners in [[a, b, c], [a, c, d]] {
+            triangles.push(Triangle { corners: corners.map(corner), sides, occludes });
+        }
+    }
+}
+
+/// A storey of `side` × `side` rooms from the origin to +x and +z, a door in each inner wall, `furniture` small boxes per
+/// room, of which some are single-sided and some are glass.
+pub fn building(side: u32, furniture: u32, seed: u64) -> Scene {
+    let mut rng = Pcg64::seed_from_u64(seed);
+    let mut triangles = Vec::new();
+    let length = side as f32 * ROOM;
+    let mut solid = |min: Vec3, max: Vec3| add_box(&mut triangles, min, max, Sides::Both, true);
+    solid(Vec3::new(-WALL, -0.2, -WALL), Vec3::new(length + WALL, 0.0, length + WALL));
+    solid(Vec3::new(-WALL, HEIGHT, -WALL), Vec3::new(length + WALL, HEIGHT + 0.2, length + WALL));
+    for line in 0..=side {
+        for room in 0..side {
+            let at = line as f32 * ROOM;
+            let [from, to] = [room as f32 * ROOM, (room + 1) as f32 * ROOM];
+            let door = from + rng.random_range(0.5..ROOM - DOOR[0] - 0.5);
+            // Stretches along the wall and their heights: beside the door, and above it.
+            let pieces: &[[f32; 3]] = if line == 0 || line == side {
+                &[[from, to, 0.0]]
+            } else {
+                &[[from, door, 0.0], [door, door + DOOR[0], DOOR[1]], [door + DOOR[0], to, 0.0]]
+            };
+            for &[begin, end, low] in pieces {
+                solid(Vec3::new(at - WALL, low, begin), Vec3::new(at + WALL, HEIGHT, end));
+                solid(Vec3::new(begin, low, at - WALL), Vec3::new(end, HEIGHT, at + WALL));
+            }
+        }
+    }
+    for room in 0..side * side {
+        let corner = Vec3::new((room % side) as f32 * ROOM, 0.0, (room / side) as f32 * ROOM);
+        for _ in 0..furniture {
+            let mut within = |from: f32, to: f32| rng.random_range(from..to);
+            let size = Vec3::new(within(0.1, 0.8), within(0.1, 1.2), within(0.1, 0.8));
+            let at = corner + Vec3::new(within(0.3, ROOM - 1.2), within(0.0, 0.5), within(0.3, ROOM - 1.2));
+            let sides = if rng.random() { Sides::Both } else { Sides::Front };
+            add_box(&mut triangles, at, at + size, sides, rng.random_bool(0.9));
+        }
+    }
+    Scene::from_triangles(triangles)
+}
+
+/// Triangles of all sizes around the origin: one-sided and two-sided, glass, duplicates, coplanar and zero-area ones.
+pub fn soup(seed: u64, count: usize) -> Scene {
+    let mut rng = Pcg64::seed_from_u64(seed);
+    let mut triangles: Vec<Triangle> = Vec::new();
+    while triangles.len() < count {
+        let at = Vec3::from_array(std::array::from_fn(|_| rng.random_range(-5.0..5.0_f32)));
+        let size = 10.0_f32.powf(rng.random_range(-2.0..1.2));
+        let mut corners: [Vec3; 3] =
+            std::array::from_fn(|_| at + size * Vec3::from_array(std::array::from_fn(|_| rng.random_range(-1.0..1.0))));
+        match rng.random_range(0..12) {
+            0 => corners[2] = corners[1],
+            1 => corners[2] = (corners[0] + corners[1]) * 0.5,
+            2 => corners.iter_mut().for_each(|corner| corner.y = 1.0),
+            3 if !triangles.is_empty() => corners = triangles[rng.random_range(0..triangles.len())].corners,
+            _ => {}
+        }
+        let sides = if rng.random() { Sides::Both } else { Sides::Front };
+        triangles.push(Triangle { corners, sides, occludes: rng.random_bool(0.85) });
+    }
+    Scene::from_triangles(triangles)
+}
+
+/// A view in any direction, with an angle of view from 0.1° to 179°.
+pub fn any_view(rng: &mut Pcg64, eye: DVec3, resolution: Resolution) -> View {
+    let mut unit = || rng.random_range(-1.0..1.0);
+    let orientation = DQuat::from_xyzw(unit(), unit(), unit(), unit() + 1e-3).normalize();
+    let fov_x = match rng.random_range(0..10) {
+        0 => 0.1_f64.to_radians(),
+        1 => 179.0_f64.to_radians(),
+        _ => rng.random_range(0.3..PI - 0.3),
+    };
+    let near = if rng.random_bool(0.2) { 1.0 } else { 0.01 };
+    View { eye, orientation, fov_x, resolution, near }
+}
+
+/// A level view from eye height in a building of `side` × `side` rooms, with 80° across.
+pub fn visitor(rng: &mut Pcg64, side: u32, resolution: Resolution) -> View {
+    let length = f64::from(side as f32 * ROOM);
+    let mut along = || rng.random_range(0.2..length - 0.2);
+    let eye = DVec3::new(along(), 1.6, along());
+    View::level(eye, rng.random_range(0.0..TAU), 80.0_f64.to_radians(), resolution)
+}
