@@ -428,7 +428,7 @@ impl Extent {
             return None;
         }
         if !self.in_front {
-            return Some([0.0, face.height as f64 - 1.0]);
+            return Some([0.0, f64::INFINITY]);
         }
         if extent(self) * face.focal < least_px {
             return None;

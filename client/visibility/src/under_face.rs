@@ -4,6 +4,9 @@
 //! tiles of 8×8. A tile that one polygon covers alone keeps only that polygon's plane, which is most of a wall; only
 //! tiles at borders keep 64 numbers. Each tile knows its least w, so that most of a query looks at one number per tile.
 
+// `!(a <= b)` where NaN must count as "no".
+#![allow(clippy::neg_cmp_op_on_partial_ord)]
+
 use glam::DVec3;
 
 /// Pixels along a tile's side.
@@ -116,8 +119,9 @@ impl Region {
     /// Every pixel in these rows (inclusive).
     pub fn rows(face: &Face, first: f64, last: f64) -> Region {
         Region {
-            width: face.width as f64,
-            rows: [first.max(0.0), last.min(face.height as f64 - 1.0)],
+            // To the end of the last tiles, or these could never be full.
+            width: (face.width.div_ceil(TILE) * TILE) as f64,
+            rows: [first.max(0.0), last.min((face.height.div_ceil(TILE) * TILE) as f64 - 1.0)],
             bounds: [(0.0, 0.0); Region::CONDITIONS_MAX],
             left_count: 0,
             right_count: 0,

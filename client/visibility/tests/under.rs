@@ -238,6 +238,7 @@ fn the_corner_of_a_room_does_not_leak() {
         add_box(&mut triangles, [-4.0, -4.0, -6.0], [3.0, 4.0, -5.0], Sides::Front, 0.0);
         add_box(&mut triangles, [3.0, -4.0, -5.0], [4.0, 4.0, 5.0], Sides::Front, 0.0);
         let occlusion = cull(triangles, eye, 64);
+        assert!(!occlusion.is_full());
         let behind = Bound::Box(Aabb::new(DVec3::new(2.5, -1.0, -8.0), DVec3::new(5.5, 1.0, -7.0)));
         assert!(occlusion.hides(&behind), "{eye}");
     }
@@ -249,6 +250,8 @@ fn what_touches_the_eye_or_has_no_limit_is_never_hidden() {
     add_box(&mut triangles, [-1.0; 3], [1.0; 3], Sides::Both, 0.0);
     let occlusion = cull(triangles, DVec3::ZERO, 64);
     assert!(occlusion.hides(&Bound::Sphere { centre: DVec3::new(0.0, 0.0, -5.0), radius: 1.0 }));
+    // The eight corners of a box are three polygons' business, so only a view between them is full.
+    assert!(!occlusion.is_full());
     assert!(!occlusion.hides(&Bound::Everywhere));
     assert!(!occlusion.hides(&Bound::Box(Aabb::around(DVec3::ZERO, DVec3::splat(100.0)))));
     assert!(!occlusion.hides(&Bound::Box(Aabb::new(DVec3::ZERO, DVec3::new(0.1, 0.1, 50.0)))));
@@ -334,6 +337,20 @@ fn a_single_view_hides_what_it_does_not_look_at() {
         }
     }
     assert!(hidden > 500 && outside > 1000, "{hidden} {outside}");
+}
+
+#[test]
+fn a_view_of_nothing_but_wall_is_full_at_any_resolution() {
+    for (width, height) in [(64, 64), (150, 99), (7, 1)] {
+        let mut triangles = Vec::new();
+        wall(&mut triangles, [-40.0, 40.0], [-40.0, 40.0], -5.0);
+        let scene = Scene::from_triangles(triangles);
+        let view = View::level(DVec3::ZERO, 0.1, 1.2, Resolution::new(width, height));
+        let mut occlusion = UnderOcclusion::single(Arc::new(Occluders::build(&scene)), &view);
+        assert!(!occlusion.is_full());
+        occlusion.draw(&[1]);
+        assert!(occlusion.is_full(), "{width}x{height}");
+    }
 }
 
 #[test]
