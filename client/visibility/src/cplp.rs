@@ -431,7 +431,7 @@ mod tests {
 
         let far = EyeRegion::point(DVec3::new(-50.0, 0.1, 5.0));
         let done = cplp.traverse(&scene, far, NO_GUESS, &mut probe(|_| false), &mut scratch);
-        assert_eq!(scratch.visible(), []);
+        assert!(scratch.visible().is_empty());
         assert_eq!(done.queries, cplp.octree().hull(Face::ALL[0]).len());
     }
 

@@ -9,17 +9,23 @@
 mod bound;
 mod cplp;
 mod culler;
+mod dynamic_index;
+mod load;
 mod occlusion;
 mod octree;
 mod raster_sampled;
+mod ray;
 mod scene;
 mod view;
 
 pub use bound::{Aabb, Bound};
 pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
 pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, Scratch, ZBuffer, exact_set, wrong_pixels};
+pub use dynamic_index::DynamicOctree;
+pub use load::{LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats};
 pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use octree::{CellId, Face, Neighbour, Octree, OctreeRules};
 pub use raster_sampled::{DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
+pub use ray::{Hit, RayScene, image_ray, pixel_ray};
 pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
 pub use view::{EyeRegion, Resolution, View};
