@@ -233,6 +233,17 @@ impl Ramp {
 
     #[inline(always)]
     fn items<const STEEP: bool>(&self, first: i32, depths: &mut [f32], ids: &mut [u32], id: u32) {
+        // Short rows do not repay vector code: half the speed for triangles of 5 px.
+        if depths.len() < 8 {
+            for (i, (depth, winner)) in depths.iter_mut().zip(ids).enumerate() {
+                let z = self.at::<STEEP>(first + i as i32);
+                if z > *depth || (z == *depth && id < *winner) {
+                    *depth = z;
+                    *winner = id;
+                }
+            }
+            return;
+        }
         for (i, (depth, winner)) in depths.iter_mut().zip(ids).enumerate() {
             let z = self.at::<STEEP>(first + i as i32);
             let wins = (z > *depth) | ((z == *depth) & (id < *winner));
