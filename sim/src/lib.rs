@@ -1,9 +1,11 @@
 //! Scenes, motion, measurement and reports.
 
 pub mod motion;
+pub mod people;
 pub mod places;
 pub mod report;
 pub mod scene;
+pub mod stage;
 pub mod trace;
 pub mod virtual_net;
 

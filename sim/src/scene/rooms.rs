@@ -86,6 +86,7 @@ pub enum RoomsError {
 pub fn make(rules: &RoomsRules) -> Result<MadeScene, RoomsError> {
     let plan = RoomPlan::new(rules)?;
     let mut world = WorldSpec {
+        two_sided: false,
         name: format!("rooms {}×{} seed {}", rules.columns, rules.rows, rules.seed),
         avatar: AvatarSpec::default(),
         spawns: spawns(&plan),

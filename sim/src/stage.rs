@@ -1,0 +1,147 @@
+//! A world ready to be run and measured: the model, its occluders, and how people move in it. Shared by every client of a
+//! process.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::Context;
+use eyeline_protocol::{Class, WorldTime};
+use eyeline_server::model::Model;
+use eyeline_server::policy::{Broadcast, ExactSight, Meshes, Oracle, Policy, Visible};
+use eyeline_server::spec::SpawnSpec;
+use eyeline_server::world::{World, WorldConfig};
+use eyeline_visibility::AllRound;
+use glam::DVec3;
+
+use crate::places;
+use crate::scene::plan::{RoomPlan, RoomsRules};
+use crate::scene::rooms;
+use crate::trace::{Placement, Trace};
+
+/// A world ready to be run.
+#[derive(Clone)]
+pub struct Stage {
+    /// The model and what moves in it.
+    pub model: Model,
+    /// Rooms and doors, if the world was made; walkers need them.
+    pub plan: Option<Arc<RoomPlan>>,
+    /// Occluders for all-round culling.
+    pub all_round: Arc<AllRound>,
+    /// What a reader of a report should know about how the world was loaded.
+    pub notes: Vec<String>,
+}
+
+/// A recorded crowd, placed in a world.
+#[derive(Clone)]
+pub struct Crowd {
+    /// Who walked where.
+    pub trace: Arc<Trace>,
+    /// Where that is in the world.
+    pub placement: Placement,
+}
+
+/// The interest policies that can be run.
+pub const POLICIES: [&str; 3] = ["visible", "broadcast", "oracle"];
+
+impl Stage {
+    /// A made world of rooms.
+    ///
+    /// # Errors
+    /// If the rules make no building.
+    pub fn made(rules: &RoomsRules) -> anyhow::Result<Stage> {
+        let made = rooms::make(rules)?;
+        let model = Model::from_bytes(made.glb, "rooms.glb", Some(made.world))?;
+        Ok(Stage::of(model, Some(Arc::new(made.plan)), Vec::new()))
+    }
+
+    /// The world of a file. A scene that says nothing of avatars gets its `NAME.places.json` as places to stand, and two
+    /// sides to every face: it is then one of the game maps, whose faces have one.
+    ///
+    /// # Errors
+    /// Names the file, the value and the remedy.
+    pub fn load(path: &Path, world_file: Option<&Path>) -> anyhow::Result<Stage> {
+        let plan = RoomPlan::beside(path)?.map(Arc::new);
+        let model = Model::load(path, world_file)?;
+        let mut notes = Vec::new();
+        let says_nothing = model.spec.objects.is_empty() && plan.is_none();
+        if !says_nothing {
+            return Ok(Stage::of(model, plan, notes));
+        }
+        let mut spec = model.spec.clone();
+        spec.two_sided = true;
+        notes.push("no world file: every face counts as two-sided, nothing moves but avatars".to_owned());
+        match places::beside(path)? {
+            Some(places) if !places.is_empty() => {
+                notes.push(format!("avatars stand at {} places", places.len()));
+                let spawn = |place: &places::Place| SpawnSpec { position: place.position.to_array(), heading: 0.0 };
+                spec.spawns = places.iter().map(spawn).collect();
+            }
+            _ => notes.push("no places file: avatars stand in the middle of the scene, on its lowest level".to_owned()),
+        }
+        let name = path.display().to_string();
+        let model = Model::from_bytes(model.bytes.to_vec(), &name, Some(spec)).context("loading it again two-sided")?;
+        Ok(Stage::of(model, plan, notes))
+    }
+
+    fn of(model: Model, plan: Option<Arc<RoomPlan>>, notes: Vec<String>) -> Stage {
+        let all_round = Arc::new(AllRound::new(&model.scene));
+        Stage { model, plan, all_round, notes }
+    }
+
+    /// Places a recorded crowd, and raises the avatars' speed bound to what its people did.
+    ///
+    /// # Errors
+    /// If the world has no place to put it.
+    pub fn with_crowd(mut self, trace: Trace, placement: Option<Placement>) -> anyhow::Result<(Stage, Crowd)> {
+        let places: Vec<DVec3> = self.model.spec.spawns.iter().map(|spawn| DVec3::from_array(spawn.position)).collect();
+        let placement = placement
+            .or_else(|| Placement::fit(&trace, &places))
+            .context("the world has no place to put the trace; name one with --trace-origin X,Y,Z")?;
+        // A little above, since samples are rounded and the wire's grid adds its step.
+        let needed = placement.speed_max(&trace) * 1.05 + 0.05;
+        let avatar = &mut self.model.spec.avatar;
+        if avatar.speed_max < needed {
+            self.notes.push(format!("avatars may reach {needed:.2} m/s, since people in the trace did"));
+            avatar.speed_max = needed;
+        }
+        Ok((self, Crowd { trace: Arc::new(trace), placement }))
+    }
+
+    /// The world's anchor in the model's space, metres.
+    pub fn anchor(&self) -> DVec3 {
+        self.model.scene.anchor()
+    }
+
+    /// A world under the policy of this name.
+    ///
+    /// # Errors
+    /// If there is no such policy, or the world contradicts itself.
+    pub fn world(&self, config: WorldConfig, policy: &str, now: WorldTime) -> anyhow::Result<World> {
+        let visible = |policy| {
+            World::new(config.clone(), self.model.spec.clone(), self.model.info.clone(), self.anchor(), policy, now)
+        };
+        let policy: Box<dyn Policy> = match policy {
+            "visible" => Box::new(Visible),
+            "broadcast" => Box::new(Broadcast),
+            "oracle" => {
+                // The classes are the world's, which is made twice for them; it is cheap without an oracle.
+                let classes = visible(Box::new(Visible))?.classes().to_vec();
+                let meshes = Arc::new(self.meshes(&classes[0]));
+                Box::new(Oracle::new(Box::new(ExactSight::new(self.model.scene.clone(), meshes, classes))))
+            }
+            other => anyhow::bail!("'{other}' is no policy; there are {}", POLICIES.join(", ")),
+        };
+        Ok(visible(policy)?)
+    }
+
+    /// The meshes of what moves; `avatar` is the class of avatars.
+    pub fn meshes(&self, avatar: &Class) -> Meshes {
+        let headings = self
+            .model
+            .spec
+            .objects
+            .iter()
+            .map(|object| (object.node.as_ref().unwrap_or(&object.name).as_str(), object.heading));
+        Meshes::new(&self.model.scene, headings, avatar)
+    }
+}
