@@ -352,6 +352,11 @@ impl Session {
         Some((self.link.round_trip()?.smoothed, self.link.round_trip_max()?))
     }
 
+    /// After what time without an answer something is said again.
+    pub fn retry_after(&self) -> std::time::Duration {
+        self.link.timeout()
+    }
+
     /// Counters since the start.
     pub fn stats(&self) -> &SessionStats {
         &self.stats

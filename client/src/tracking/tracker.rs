@@ -593,6 +593,14 @@ impl Tracker {
         self.entries.get(&object).is_some_and(|entry| !matches!(entry.belief, Belief::Unknown))
     }
 
+    /// The bound that stands for `object`, if it is held hidden or was until it was asked for.
+    pub fn held(&self, object: ObjectId) -> Option<Tbv> {
+        match self.entries.get(&object)?.belief {
+            Belief::Hidden(tbv) => Some(tbv),
+            Belief::Unknown | Belief::Visible | Belief::Absent => None,
+        }
+    }
+
     /// Number of objects in V, held hidden, and awaiting an answer.
     pub fn counts(&self) -> (usize, usize, usize) {
         (self.visible.len(), self.index.len(), self.asked.len())

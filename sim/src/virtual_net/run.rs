@@ -340,13 +340,15 @@ impl VirtualRun {
     /// Puts a control message with its prefix on its way.
     fn put_control(&mut self, client: usize, direction: Direction, bytes: &[u8]) {
         let message = bytes.get(4..).unwrap_or_default().to_vec();
-        let at = self.link(client, direction).control(bytes.len(), self.now);
+        let now = self.now;
+        let at = self.link(client, direction).control(bytes.len(), now);
         self.queue.push(at, Event::Arrives { client, direction, kind: Kind::Control, bytes: message });
     }
 
     fn send(&mut self, client: usize, direction: Direction, kind: Kind, bytes: Vec<u8>, observer: &mut dyn Observer) {
         if kind == Kind::Control {
-            let at = self.link(client, direction).control(bytes.len() + 4, self.now);
+            let now = self.now;
+            let at = self.link(client, direction).control(bytes.len() + 4, now);
             return self.queue.push(at, Event::Arrives { client, direction, kind, bytes });
         }
         let passing = Passing { client, direction, kind, bytes: &bytes, at: self.now };
