@@ -50,6 +50,10 @@ struct Ask {
     reason: Reason,
     sent_at: Option<LocalTime>,
     not_before: Option<u64>,
+    /// Tells this question from an earlier one about the same object.
+    number: u64,
+    /// Whether the server is known to have got it.
+    heard: bool,
 }
 
 /// One object's place in D.
@@ -91,6 +95,8 @@ pub struct Tracker {
     visible: BTreeSet<ObjectId>,
     /// Objects that an answer is awaited for.
     asked: BTreeSet<ObjectId>,
+    /// Questions asked so far.
+    asks: u64,
     out: VecDeque<ClientRecord>,
     exposed: Vec<u32>,
     /// Latest possible server time at the newest frame.
@@ -120,6 +126,7 @@ impl Tracker {
             queue: BTreeSet::new(),
             visible: BTreeSet::new(),
             asked: BTreeSet::new(),
+            asks: 0,
             out: VecDeque::new(),
             exposed: Vec::new(),
             latest: WorldTime::MIN,
@@ -203,18 +210,22 @@ impl Tracker {
         }
         entry.state = Some(State { position, orientation, tick });
         let awaited = entry.ask.is_some_and(|ask| ask.want == Want::State);
+        // What was pushed before the server got the question is shown, but it is no answer: the server may have stopped
+        // telling since.
+        if entry.ask.is_some_and(|ask| ask.want == Want::State && ask.heard) {
+            entry.ask = None;
+            self.asked.remove(&object);
+        }
         let was_visible = matches!(entry.belief, Belief::Visible);
         if was_visible {
             return;
         }
         if awaited || !self.tracking {
             entry.belief = Belief::Visible;
-            entry.ask = None;
             entry.hidden_frames = 0;
             entry.released_at = None;
             entry.releasing = false;
             self.stats.revealed += 1;
-            self.asked.remove(&object);
             self.leave_t_and_q(object);
             self.visible.insert(object);
         } else {
@@ -392,6 +403,8 @@ impl Tracker {
                 continue;
             }
             self.stats.released += 1;
+            entry.ask = None;
+            self.asked.remove(&object);
             entry.released_at = Some(now);
             entry.releasing = local.is_none();
             self.out.push_back(ClientRecord::Release { object, want_bound: local.is_none() });
@@ -537,7 +550,8 @@ impl Tracker {
         let late = self.config.sabotage == Some(Sabotage::LateOneTick);
         if let Some(entry) = self.entries.get_mut(&object) {
             let not_before = late.then_some(self.stats.frames + 1);
-            entry.ask = Some(Ask { want, reason, sent_at: None, not_before });
+            self.asks += 1;
+            entry.ask = Some(Ask { want, reason, sent_at: None, not_before, number: self.asks, heard: false });
             self.asked.insert(object);
         }
     }
@@ -548,6 +562,20 @@ impl Tracker {
             && let Some(due) = entry.due.take()
         {
             self.queue.remove(&(due, object));
+        }
+    }
+
+    /// The number of the question that is being asked about `object`, for [`Tracker::handle_heard`].
+    pub fn ask_number(&self, object: ObjectId) -> Option<u64> {
+        Some(self.entries.get(&object)?.ask?.number)
+    }
+
+    /// The server has got the question of this number.
+    pub fn handle_heard(&mut self, object: ObjectId, number: u64) {
+        if let Some(ask) = self.entries.get_mut(&object).and_then(|entry| entry.ask.as_mut())
+            && ask.number == number
+        {
+            ask.heard = true;
         }
     }
 

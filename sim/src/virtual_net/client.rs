@@ -122,6 +122,8 @@ pub struct Client {
     pub(super) connected: bool,
     pub(super) events: Vec<Event>,
     pub(super) closed: Option<String>,
+    /// Datagrams that came before the welcome.
+    pub(super) early: Vec<Vec<u8>>,
 }
 
 impl Client {

@@ -159,6 +159,7 @@ impl VirtualRun {
             connected: true,
             events: Vec::new(),
             closed: None,
+            early: Vec::new(),
         });
         self.queue.push(self.now + phase, Event::Frame(client));
         self.send_control(client);
@@ -289,8 +290,15 @@ impl VirtualRun {
         }
         let local = client.clock.local(self.now);
         match kind {
+            // The QUIC shell leaves them in quinn's buffer until then.
+            Kind::Datagram if client.session.welcome().is_none() => client.early.push(bytes.to_vec()),
             Kind::Datagram => client.session.handle_datagram(bytes, client.driver.occlusion(), local),
             Kind::Control => client.session.handle_control(bytes),
+        }
+        if client.session.welcome().is_some() {
+            for early in std::mem::take(&mut client.early) {
+                client.session.handle_datagram(&early, client.driver.occlusion(), local);
+            }
         }
         let mut is_over = false;
         while let Some(event) = client.session.poll_event() {
