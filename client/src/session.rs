@@ -9,7 +9,7 @@ use eyeline_protocol::{
 };
 use eyeline_visibility::{DynamicIndex, Occlusion};
 
-use crate::clock::Clock;
+use crate::clock::{Clock, DRIFT};
 use crate::tracking::{Sabotage, Tracker, TrackerConfig};
 
 /// Settings of a [`Session`].
@@ -227,13 +227,14 @@ impl Session {
         self.owes_ack = true;
         if let Some(sent_at) = sent_at {
             let hold = std::time::Duration::from_micros(u64::from(header.link.hold_micros));
+            // The server measured the hold with its own clock, which may run faster than ours.
+            let hold = hold.mul_f64(1.0 - DRIFT);
             self.clock.observe(header.sent, now.since(sent_at).saturating_sub(hold), now);
             if self.config.tracker.sabotage == Some(Sabotage::FreezeClock) {
                 self.clock.freeze(now);
             }
         }
-        let round_trip = self.link.round_trip().map(|round_trip| round_trip.smoothed);
-        tracker.handle_path(round_trip, self.link.timeout());
+        tracker.handle_path(self.link.round_trip_max(), self.link.timeout());
         self.stats.records_in += records.len() as u64;
         for record in records {
             match record {
