@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 use eyeline_protocol::codec::{self, DatagramWriter, DecodeError};
 use eyeline_protocol::{
-    Arrival, ClientControl, ClientHeader, ClientRecord, Interest, Link, LinkHeader, LocalTime, ObjectId, Orientation, Position,
-    Refusal, Role, ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
+    Arrival, ClientControl, ClientHeader, ClientRecord, Interest, Link, LinkHeader, LocalTime, ObjectId, Orientation,
+    Position, Refusal, Role, ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
 };
 use eyeline_visibility::{DynamicIndex, Occlusion};
 

@@ -201,6 +201,7 @@ impl Tracker {
         match entry.bound.filter(|_| newer.is_none()) {
             // Tested at the next frame.
             Some(bound) => self.hold(entry.object, bound.tbv(tick)),
+            None if newer.is_some() && !self.is_staged() => self.ask(entry.object, Want::State, Reason::Violated),
             None => self.ask(entry.object, Want::Bound, Reason::Unknown),
         }
         self.debug_check();
