@@ -136,17 +136,20 @@ impl VirtualLink {
         Fate::Deliver(if is_held_up { delay + self.rules.unhindered_max().mul_f64(hold) } else { delay })
     }
 
-    /// When a control message of `bytes` bytes that is sent at `now` arrives. Never before an earlier one.
-    pub fn control(&mut self, bytes: usize, now: WorldTime) -> WorldTime {
+    /// When a control message of `bytes` bytes that is sent at `now` arrives, and how many of its packets get lost on the
+    /// way. Never before an earlier one.
+    pub fn control(&mut self, bytes: usize, now: WorldTime) -> (WorldTime, u32) {
+        let mut lost = 0;
         let retransmission = 2 * self.rules.unhindered_max() + RETRANSMISSION_EXTRA;
         for _ in 0..bytes.div_ceil(PACKET_BYTES).max(1) {
             let mut arrives = now + self.delay();
             while self.is(self.rules.loss.min(LOSS_MAX)) {
                 arrives = arrives + retransmission;
+                lost += 1;
             }
             self.control_at = self.control_at.max(arrives);
         }
-        self.control_at
+        (self.control_at, lost)
     }
 
     fn delay(&mut self) -> Duration {
@@ -187,7 +190,8 @@ mod tests {
 
     #[test]
     fn delays_stay_within_the_stated_greatest() {
-        let rules = LinkRules { delay: Duration::from_millis(10), jitter: Duration::from_millis(4), ..Default::default() };
+        let rules =
+            LinkRules { delay: Duration::from_millis(10), jitter: Duration::from_millis(4), ..Default::default() };
         for rules in [rules, rules.with_reorder(0.5)] {
             let mut link = link(rules);
             let mut longest = Duration::ZERO;
@@ -207,7 +211,8 @@ mod tests {
         let mut delayed = 0;
         for millis in 0..500 {
             let now = WorldTime::from_micros(millis * 1_000);
-            let arrives = link.control(100, now);
+            let (arrives, lost) = link.control(100, now);
+            assert!(lost == 0 || arrives > now + Duration::from_millis(20) * lost);
             assert!(arrives >= newest && arrives >= now);
             delayed += i32::from(arrives > now + Duration::from_millis(20));
             newest = arrives;

@@ -72,7 +72,7 @@ pub trait Observer {
         let _ = message;
     }
 
-    /// A datagram gets lost.
+    /// A datagram gets lost for good, or a packet of a control message, which only delays that.
     fn lost(&mut self, message: &Passing<'_>) {
         let _ = message;
     }
@@ -87,11 +87,21 @@ impl Observer for Ignore {}
 enum Event {
     Tick,
     Frame(usize),
-    Arrives { client: usize, direction: Direction, kind: Kind, bytes: Vec<u8> },
+    Arrives {
+        client: usize,
+        direction: Direction,
+        kind: Kind,
+        bytes: Vec<u8>,
+    },
     /// The server's end of the connection is closed, and the client learns of it.
-    Closed { client: usize, reason: String },
+    Closed {
+        client: usize,
+        reason: String,
+    },
     /// The client's end is closed, and the server learns of it.
-    Gone { client: usize },
+    Gone {
+        client: usize,
+    },
 }
 
 /// Decides about datagrams before the rules do.
@@ -162,14 +172,14 @@ impl VirtualRun {
             early: Vec::new(),
         });
         self.queue.push(self.now + phase, Event::Frame(client));
-        self.send_control(client);
+        self.send_control(client, &mut Ignore);
         client
     }
 
     /// The client's end of the connection goes, without a word; the server learns of it a delay later.
     pub fn cut(&mut self, client: usize) {
         if std::mem::replace(&mut self.clients[client].connected, false) {
-            let at = self.clients[client].up.control(1, self.now);
+            let (at, _) = self.clients[client].up.control(1, self.now);
             self.queue.push(at, Event::Gone { client });
         }
     }
@@ -266,7 +276,7 @@ impl VirtualRun {
         client.driver.frame_done(&mut client.session, time, now);
         let framed = Framed { client: number, session: &client.session, time, eye, at: now, world: &self.world };
         observer.framed(&framed);
-        self.send_control(number);
+        self.send_control(number, observer);
         while let Some(bytes) = {
             let client = &mut self.clients[number];
             client.session.poll_datagram(client.datagram_limit, local)
@@ -312,7 +322,7 @@ impl VirtualRun {
         } {
             self.send(number, Direction::Up, Kind::Datagram, bytes, observer);
         }
-        self.send_control(number);
+        self.send_control(number, observer);
         if is_over {
             self.cut(number);
         }
@@ -322,12 +332,12 @@ impl VirtualRun {
         while let Some((id, transmit)) = self.world.poll_transmit(self.now) {
             let Some(client) = self.client_of(id) else { continue };
             match transmit {
-                Transmit::Control(bytes) => self.put_control(client, Direction::Down, &bytes),
+                Transmit::Control(bytes) => self.put_control(client, Direction::Down, &bytes, observer),
                 Transmit::Datagram(bytes) => self.send(client, Direction::Down, Kind::Datagram, bytes, observer),
                 // The model is not part of a virtual run: its clients have it.
                 Transmit::WorldBytes => {}
                 Transmit::Close(reason) => {
-                    let at = self.clients[client].down.control(1, self.now);
+                    let (at, _) = self.clients[client].down.control(1, self.now);
                     self.queue.push(at, Event::Closed { client, reason });
                     self.world.disconnect(id);
                 }
@@ -339,24 +349,25 @@ impl VirtualRun {
         self.clients.iter().position(|client| client.id == id)
     }
 
-    fn send_control(&mut self, client: usize) {
+    fn send_control(&mut self, client: usize, observer: &mut dyn Observer) {
         while let Some(bytes) = self.clients[client].session.poll_control() {
-            self.put_control(client, Direction::Up, &bytes);
+            self.put_control(client, Direction::Up, &bytes, observer);
         }
     }
 
     /// Puts a control message with its prefix on its way.
-    fn put_control(&mut self, client: usize, direction: Direction, bytes: &[u8]) {
+    fn put_control(&mut self, client: usize, direction: Direction, bytes: &[u8], observer: &mut dyn Observer) {
         let message = bytes.get(4..).unwrap_or_default().to_vec();
-        let now = self.now;
-        let at = self.link(client, direction).control(bytes.len(), now);
-        self.queue.push(at, Event::Arrives { client, direction, kind: Kind::Control, bytes: message });
+        self.send(client, direction, Kind::Control, message, observer);
     }
 
     fn send(&mut self, client: usize, direction: Direction, kind: Kind, bytes: Vec<u8>, observer: &mut dyn Observer) {
         if kind == Kind::Control {
             let now = self.now;
-            let at = self.link(client, direction).control(bytes.len() + 4, now);
+            let (at, lost) = self.link(client, direction).control(bytes.len() + 4, now);
+            for _ in 0..lost {
+                observer.lost(&Passing { client, direction, kind, bytes: &bytes, at: now });
+            }
             return self.queue.push(at, Event::Arrives { client, direction, kind, bytes });
         }
         let passing = Passing { client, direction, kind, bytes: &bytes, at: self.now };
