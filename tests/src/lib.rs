@@ -11,7 +11,7 @@ mod walker;
 mod walls;
 
 pub use index::{IndexView, PlainIndex};
-pub use pair::{Pair, PairBuilder};
+pub use pair::{HIDDEN, Log, OPEN, Pair, PairBuilder};
 pub use town::{Town, TownRules};
 pub use truth::{Allowance, Truth};
 pub use walker::{Crowd, Standing, Walk, Walker};

@@ -203,11 +203,17 @@ fn spec(walls: &Walls, chance: &mut Pcg64, carts: usize) -> WorldSpec {
                 points,
             };
             let position = path.points[0];
-            ObjectSpec { name: format!("cart {i}"), class: "cart".into(), node: None, position, heading: 0.0, path: Some(path) }
+            ObjectSpec {
+                name: format!("cart {i}"),
+                class: "cart".into(),
+                node: None,
+                position,
+                heading: 0.0,
+                path: Some(path),
+            }
         })
         .collect();
-    let spawns = (0..8)
-        .map(|_| SpawnSpec { position: free_place(walls, chance, HALF).to_array(), heading: 0.0 })
-        .collect();
+    let spawns =
+        (0..8).map(|_| SpawnSpec { position: free_place(walls, chance, HALF).to_array(), heading: 0.0 }).collect();
     WorldSpec { spawns, classes: vec![cart], objects, ..WorldSpec::default() }
 }

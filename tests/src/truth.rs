@@ -56,6 +56,8 @@ struct Watcher {
     seen_since: BTreeMap<ObjectId, WorldTime>,
     /// Lost datagrams that spoke of an object.
     lost: BTreeMap<ObjectId, VecDeque<WorldTime>>,
+    /// Lost packets of the control stream, which hold up what comes after.
+    lost_control: VecDeque<WorldTime>,
     retry_max: Duration,
 }
 
@@ -112,6 +114,7 @@ impl Truth {
             allowance,
             seen_since: BTreeMap::new(),
             lost: BTreeMap::new(),
+            lost_control: VecDeque::new(),
             retry_max: Duration::ZERO,
         };
         self.watchers.insert(client, watcher);
@@ -169,7 +172,7 @@ impl Truth {
                     }
                 }
             }
-            (Kind::Control, _) => {}
+            (Kind::Control, _) => watcher.lost_control.push_back(message.at),
         }
     }
 
@@ -192,6 +195,9 @@ impl Truth {
         let drawn: BTreeMap<ObjectId, WorldTime> = tracker.drawn().map(|drawn| (drawn.object, drawn.tick)).collect();
         let own: BTreeSet<ObjectId> = welcome.avatars.iter().map(|avatar| avatar.0).collect();
         let frame_period = Duration::from_millis(50);
+        let recent = |past: WorldTime| at.since(past) <= LOSS_WINDOW;
+        watcher.lost_control.retain(|&past| recent(past));
+        let lost_control = watcher.lost_control.len() as u32;
         for (index, (object, past)) in frame.world.objects().iter().zip(objects.iter()).enumerate() {
             let id = ObjectId(index as u32);
             if !object.alive || !object.present || own.contains(&id) {
@@ -199,11 +205,11 @@ impl Truth {
                 continue;
             }
             let losses = watcher.lost.get_mut(&id).map_or(0, |lost| {
-                while lost.front().is_some_and(|&front| at.since(front) > LOSS_WINDOW) {
-                    lost.pop_front();
-                }
+                lost.retain(|&past| recent(past));
                 lost.len() as u32
             });
+            // Only who has come lately is waited for on the control stream.
+            let losses = losses + if past.appeared_at.is_some_and(recent) { lost_control } else { 0 };
             let down_max = watcher.allowance.down_max;
             let for_losses = losses * (watcher.retry_max + frame_period);
             let place = object.position.metres();
@@ -238,9 +244,9 @@ impl Truth {
                 let since = *watcher.seen_since.entry(id).or_insert(at);
                 // A broken bound has to be announced first; who has just appeared, even to be asked for twice.
                 let heard = past.violated_at.map_or(WorldTime::MIN, |violated| violated + down_max);
-                let known = past.appeared_at.map_or(WorldTime::MIN, |appeared| {
-                    appeared + down_max + watcher.allowance.round_trip_max()
-                });
+                let known = past
+                    .appeared_at
+                    .map_or(WorldTime::MIN, |appeared| appeared + down_max + watcher.allowance.round_trip_max());
                 let bound = since.max(heard).max(known) + watcher.allowance.round_trip_max() + for_losses;
                 if !drawn.contains_key(&id) {
                     self.not_drawn += 1;

@@ -31,7 +31,12 @@ fn three_hundred_towns_keep_every_promise() {
     for seed in first..first + count {
         let town = live(TownRules::seeded(seed));
         if town.truth.failed > 0 {
-            bad.push(format!("seed {seed} ({:?}): {}\n{}", TownRules::seeded(seed), town.truth.failed, town.truth.failures.join("\n")));
+            bad.push(format!(
+                "seed {seed} ({:?}): {}\n{}",
+                TownRules::seeded(seed),
+                town.truth.failed,
+                town.truth.failures.join("\n")
+            ));
         }
         bounds += town.truth.bounds_checked;
         visible += town.truth.visible_checked;
@@ -39,7 +44,12 @@ fn three_hundred_towns_keep_every_promise() {
         broken += town.truth.broken_believed;
     }
     eprintln!("{count} seeds: {bounds} bounds, {visible} visible, {states} states, {broken} broken bounds believed");
-    assert!(bad.is_empty(), "{} of {count} seeds fail, first:\n{}", bad.len(), bad.iter().take(6).cloned().collect::<Vec<_>>().join("\n"));
+    assert!(
+        bad.is_empty(),
+        "{} of {count} seeds fail, first:\n{}",
+        bad.len(),
+        bad.iter().take(6).cloned().collect::<Vec<_>>().join("\n")
+    );
     assert!(bounds > 1_000 * count && visible > 500 * count && states > 500 * count, "the truth is not empty");
 }
 
@@ -48,7 +58,11 @@ fn the_same_seed_gives_the_same_messages_at_the_same_microsecond() {
     for seed in [2, 7, 11] {
         let [first, second] = [live(TownRules::seeded(seed)), live(TownRules::seeded(seed))];
         assert!(first.run.messages() > 1_000);
-        assert_eq!((first.run.messages(), first.run.digest()), (second.run.messages(), second.run.digest()), "seed {seed}");
+        assert_eq!(
+            (first.run.messages(), first.run.digest()),
+            (second.run.messages(), second.run.digest()),
+            "seed {seed}"
+        );
     }
     let other = live(TownRules { seed: 3, ..TownRules::seeded(2) });
     assert_ne!(live(TownRules::seeded(2)).run.digest(), other.run.digest());
