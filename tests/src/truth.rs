@@ -7,7 +7,7 @@ use std::time::Duration;
 use eyeline_protocol::{ClientRecord, Issue, ObjectId, ServerRecord, WorldTime, codec};
 use eyeline_server::world::{Object, World};
 use eyeline_sim::virtual_net::{Direction, Framed, Kind, LinkRules, Observer, Passing};
-use eyeline_visibility::{Aabb, Bound};
+use eyeline_visibility::Aabb;
 use glam::DVec3;
 
 use crate::index::IndexView;
@@ -230,7 +230,7 @@ impl Truth {
                         let radius = tbv.radius_at(at);
                         fail(format!("{id}: is {distance} m from its bound's centre, whose radius is {radius} m"));
                     }
-                    if let Some(Bound::Box(inserted)) = watcher.view.bound(id.0)
+                    if let Some(inserted) = watcher.view.bound(id.0).and_then(|bound| bound.aabb())
                         && !inserted.contains_box(&shape(frame.world, object, place))
                     {
                         fail(format!("{id}: at {place} is not in the box that T holds, {inserted:?}"));

@@ -189,7 +189,12 @@ impl Sight for ExactSight {
                 place + DVec3::new(-extent.radius, extent.bottom, -extent.radius),
                 place + DVec3::new(extent.radius, extent.top, extent.radius),
             );
-            if !self.scratch.occlusion().hides(&Bound::Box(aabb)) && self.is_seen(eye, &aabb, object) {
+            let bound = Bound::Upright {
+                centre: aabb.centre(),
+                radius: extent.radius,
+                half_height: 0.5 * (extent.top - extent.bottom),
+            };
+            if !self.scratch.occlusion().hides(&bound) && self.is_seen(eye, &aabb, object) {
                 visible.push(id);
             }
         }
