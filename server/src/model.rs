@@ -124,6 +124,7 @@ impl Model {
             name: if spec.name.is_empty() { short } else { spec.name.clone() },
             hash: sha256(&bytes),
             size_bytes: bytes.len() as u64,
+            two_sided: spec.two_sided,
         };
         Ok(Model { bytes: bytes.into(), info, spec, scene: Arc::new(scene), stats })
     }

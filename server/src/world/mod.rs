@@ -238,6 +238,14 @@ impl World {
         });
         let present = role == Role::Avatar;
         let avatars: Vec<ObjectId> = (0..wanted).map(|_| self.spawn_avatar(id, present)).collect();
+        // The newcomer learns of everything but its own, everybody else of the newcomer's avatars.
+        let others: Vec<ObjectId> = match role {
+            Role::Avatar => (0..self.objects.len() as u32)
+                .map(ObjectId)
+                .filter(|id| self.objects[id.index()].alive && !avatars.contains(id))
+                .collect(),
+            Role::Actor { .. } => Vec::new(),
+        };
         let welcome = Welcome {
             version: VERSION,
             client: ClientId(id.0),
@@ -255,19 +263,13 @@ impl World {
             blur: self.config.blur,
             world: self.info.clone(),
             classes: self.classes.clone(),
+            objects: others.len() as u32,
         };
         self.say(id, &ServerControl::Welcome(Box::new(welcome)));
-        // The newcomer learns of everything but its own, everybody else of the newcomer's avatars.
-        if role == Role::Avatar {
-            let others: Vec<ObjectId> = (0..self.objects.len() as u32)
-                .map(ObjectId)
-                .filter(|id| self.objects[id.index()].alive && !avatars.contains(id))
-                .collect();
-            for piece in others.chunks(ServerControl::ROSTER_MAX) {
-                let message = self.roster(piece, Some(slot));
-                self.stats.out.roster += piece.len() as u64;
-                self.say(id, &message);
-            }
+        for piece in others.chunks(ServerControl::ROSTER_MAX) {
+            let message = self.roster(piece, Some(slot));
+            self.stats.out.roster += piece.len() as u64;
+            self.say(id, &message);
         }
         for piece in avatars.chunks(ServerControl::ROSTER_MAX) {
             // No bounds for the others: the newcomer has just appeared, which nobody could have waited for.
