@@ -181,6 +181,9 @@ impl World {
     /// One control message, without its length prefix. What makes no sense closes the connection.
     pub fn handle_control(&mut self, id: SessionId, bytes: &[u8], now: WorldTime) {
         let Some(session) = self.sessions.get(&id) else { return };
+        if session.is_refused {
+            return;
+        }
         let live = matches!(session.phase, Phase::Live { .. });
         match codec::decode_client_control(bytes) {
             Err(error) => {
@@ -201,6 +204,17 @@ impl World {
         }
     }
 
+    /// The control stream can't be cut into messages: it is of no more use, and the connection closes.
+    pub fn handle_broken_control(&mut self, id: SessionId, error: &codec::DecodeError) {
+        self.stats.rejected_control += 1;
+        self.refuse(id, Refusal::Protocol, &format!("control stream: {error}"));
+    }
+
+    /// Whether this connection has said hello and was let in.
+    pub fn is_admitted(&self, id: SessionId) -> bool {
+        self.sessions.get(&id).is_some_and(|session| matches!(session.phase, Phase::Live { .. }))
+    }
+
     /// Tells everybody that the server ends, and why.
     pub fn shut_down(&mut self, reason: &str) {
         let ids: Vec<SessionId> = self.sessions.keys().copied().collect();
@@ -210,6 +224,9 @@ impl World {
     }
 
     fn refuse(&mut self, id: SessionId, refusal: Refusal, reason: &str) {
+        if let Some(session) = self.sessions.get_mut(&id) {
+            session.is_refused = true;
+        }
         let message = ServerControl::Refused { refusal, reason: reason.to_owned() };
         self.out.push_back((id, Transmit::Control(codec::encode_control(&message))));
         self.out.push_back((id, Transmit::Close(reason.to_owned())));
