@@ -103,7 +103,9 @@ impl World {
                 .position(|class| class.name == entry.class)
                 .ok_or_else(|| WorldError::UnknownClass { object: entry.name.clone(), class: entry.class.clone() })?;
             let out_of_range = |error| WorldError::Position { object: entry.name.clone(), error };
-            let position = Position::from_metres(DVec3::from_array(entry.position) - anchor).map_err(out_of_range)?;
+            // Where its path has it now: it could not get there from its place of rest at once.
+            let start = path.as_ref().map_or(DVec3::from_array(entry.position), |path| path.pose_at(now.seconds()).0);
+            let position = Position::from_metres(start - anchor).map_err(out_of_range)?;
             let id = ObjectId(u32::try_from(index).unwrap_or(u32::MAX));
             if id > ObjectId::MAX {
                 return Err(WorldError::TooManyObjects { objects: spec.objects.len() });
@@ -153,7 +155,7 @@ impl World {
         let Phase::Live { slot, .. } = session.phase else { return };
         self.free_slots.push(slot);
         for object in &mut self.objects {
-            object.holders.set(slot, false);
+            object.forget_holder(slot);
         }
         for &object in &session.avatars {
             let entry = &mut self.objects[object.index()];
@@ -435,7 +437,7 @@ impl World {
                         if let Some(entry) = self.objects.get_mut(object.index()) {
                             // Unless something has been told since, it holds nothing of the old issue any more.
                             if !session.is_subscribed(object) && !entry.told_since_violation.contains(slot) {
-                                entry.holders.set(slot, false);
+                                entry.forget_holder(slot);
                             }
                         }
                     }

@@ -166,6 +166,15 @@ impl Object {
         self.holders.grow_and_insert(slot);
         self.told_since_violation.grow_and_insert(slot);
     }
+
+    /// The session in this slot holds nothing of it. The sets are only as long as their last holder needs.
+    pub(super) fn forget_holder(&mut self, slot: usize) {
+        for set in [&mut self.holders, &mut self.told_since_violation] {
+            if slot < set.len() {
+                set.set(slot, false);
+            }
+        }
+    }
 }
 
 /// Offsets of the blur grid along x and z, in [0, pitch).
