@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use eyeline_protocol::OutOfRange;
+use eyeline_protocol::{CLASSES_MAX, NAME_BYTES_MAX, OutOfRange};
 use glam::DVec3;
 
 use crate::path::PathError;
@@ -123,8 +123,14 @@ pub enum WorldError {
         /// Its value.
         value: f64,
     },
-    /// More classes than the wire can name.
-    #[error("{classes} classes are more than 65535")]
+    /// A name that is longer than the wire carries.
+    #[error("the name '{name}' is of {} bytes, more than {NAME_BYTES_MAX}; shorten it", name.len())]
+    Name {
+        /// The name of a class, an object, its node or the world.
+        name: String,
+    },
+    /// More classes than a welcome can name.
+    #[error("{classes} classes are more than {CLASSES_MAX}")]
     TooManyClasses {
         /// How many.
         classes: usize,

@@ -17,9 +17,9 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use eyeline_protocol::{
-    Class, ClassId, ClientControl, ClientId, ClientRecord, Extent, LocalTime, MotionBound, ObjectId, Orientation,
-    Position, QUANTUM_METRES, Refusal, Role, RosterEntry, ServerControl, VERSION, Want, Welcome, WireTbv, WorldInfo,
-    WorldTime, codec,
+    CLASSES_MAX, Class, ClassId, ClientControl, ClientId, ClientRecord, Extent, LocalTime, MotionBound, NAME_BYTES_MAX,
+    ObjectId, Orientation, Position, QUANTUM_METRES, Refusal, Role, RosterEntry, ServerControl, VERSION, Want, Welcome,
+    WireTbv, WorldInfo, WorldTime, codec,
 };
 use glam::DVec3;
 
@@ -94,6 +94,9 @@ impl World {
         now: WorldTime,
     ) -> Result<World, WorldError> {
         config.check()?;
+        if info.name.len() > NAME_BYTES_MAX {
+            return Err(WorldError::Name { name: info.name });
+        }
         let classes = classes(&config, &spec)?;
         let mut objects = Vec::with_capacity(spec.objects.len());
         let paths = paths_of(&spec)?;
@@ -664,7 +667,11 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
             return Err(WorldError::Spawn { index, position: spawn.position });
         }
     }
-    if classes.len() > usize::from(u16::MAX) {
+    let names = spec.objects.iter().flat_map(|object| [Some(&object.name), object.node.as_ref()]).flatten();
+    if let Some(name) = names.chain(classes.iter().map(|class| &class.name)).find(|name| name.len() > NAME_BYTES_MAX) {
+        return Err(WorldError::Name { name: name.clone() });
+    }
+    if classes.len() > CLASSES_MAX {
         return Err(WorldError::TooManyClasses { classes: classes.len() });
     }
     Ok(classes)
