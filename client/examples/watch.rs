@@ -29,7 +29,8 @@ async fn main() -> anyhow::Result<()> {
     });
     let mut onlooker = Onlooker::new(&scene, welcome, 128, look).context("no avatar")?;
     let end = tokio::time::sleep(Duration::from_secs(10));
-    run_headless(&mut connection, &mut onlooker, Duration::from_millis(50), Duration::ZERO, end).await?;
+    let first = connection.clock().now();
+    run_headless(&mut connection, &mut onlooker, Duration::from_millis(50), first, end).await?;
     connection.close().await;
     endpoint.wait_idle().await;
     Ok(())

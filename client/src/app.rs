@@ -194,7 +194,8 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
                 () = shutdown => {}
             }
         };
-        let ran = run_headless(&mut connection, &mut onlooker, period, Duration::ZERO, end).await;
+        let first = connection.clock().now();
+        let ran = run_headless(&mut connection, &mut onlooker, period, first, end).await;
         let stats = *connection.session.stats();
         let (sent, sent_bytes, received, received_bytes) = connection.udp();
         let (frames, skipped) = ran.as_ref().map_or((0, 0), |summary| (summary.frames, summary.skipped));

@@ -54,6 +54,19 @@ impl Mover {
     }
 }
 
+/// What people must know of the world that they are in. Shared by all of a process.
+#[derive(Clone)]
+pub struct Ground {
+    /// Rooms and doors, if the world was made; walkers need them.
+    pub plan: Option<Arc<RoomPlan>>,
+    /// What an avatar is like.
+    pub avatar: AvatarSpec,
+    /// The world's anchor in the model's space, metres.
+    pub anchor: DVec3,
+    /// Occluders for all-round culling.
+    pub all_round: Arc<AllRound>,
+}
+
 /// Called after each frame with the session, the report, and the pose that the frame was seen from.
 pub type FrameHook = Box<dyn FnMut(&mut Session, &FrameReport, &WalkerPose) + Send>;
 
@@ -77,18 +90,23 @@ pub struct Person {
 impl Person {
     /// The `number`th person of `seed` in a world; culls on cube faces of `side` pixels.
     pub fn new(stage: &Stage, seed: u64, number: usize, side: u32, hook: Option<FrameHook>) -> Person {
+        Person::on(&stage.ground(), seed, number, side, hook)
+    }
+
+    /// The same, for who has no whole stage.
+    pub fn on(ground: &Ground, seed: u64, number: usize, side: u32, hook: Option<FrameHook>) -> Person {
         Person {
             seed,
             number,
-            plan: stage.plan.clone(),
-            avatar: stage.model.spec.avatar,
-            anchor: stage.anchor(),
+            plan: ground.plan.clone(),
+            avatar: ground.avatar,
+            anchor: ground.anchor,
             mover: None,
             object: ObjectId(0),
             last: None,
             pose: WalkerPose { feet: DVec3::ZERO, yaw: 0.0, eye: DVec3::ZERO },
-            all_round: stage.all_round.clone(),
-            scratch: stage.all_round.scratch(side),
+            all_round: ground.all_round.clone(),
+            scratch: ground.all_round.scratch(side),
             has_culled: false,
             hook,
         }

@@ -13,6 +13,7 @@ use eyeline_server::world::{World, WorldConfig};
 use eyeline_visibility::AllRound;
 use glam::DVec3;
 
+use crate::people::Ground;
 use crate::places;
 use crate::scene::plan::{RoomPlan, RoomsRules};
 use crate::scene::rooms;
@@ -91,6 +92,16 @@ impl Stage {
     /// The world's anchor in the model's space, metres.
     pub fn anchor(&self) -> DVec3 {
         self.model.scene.anchor()
+    }
+
+    /// What people in this world must know of it.
+    pub fn ground(&self) -> Ground {
+        Ground {
+            plan: self.plan.clone(),
+            avatar: self.model.spec.avatar,
+            anchor: self.anchor(),
+            all_round: self.all_round.clone(),
+        }
     }
 
     /// A world under the policy of this name.
