@@ -6,7 +6,7 @@ use std::time::Duration;
 use eyeline_protocol::{LocalTime, WorldTime};
 
 /// How much faster than ours the server's clock may run: 10⁻³, far beyond what quartz does.
-const DRIFT: f64 = 1e-3;
+pub(crate) const DRIFT: f64 = 1e-3;
 
 /// Estimates the server's time from probes: a datagram of ours, and the server's stamp on its acknowledgement.
 #[derive(Clone, Debug, Default)]

@@ -4,12 +4,12 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use eyeline_protocol::codec::{self, DatagramWriter, DecodeError};
 use eyeline_protocol::{
-    Arrival, ClientControl, ClientHeader, ClientRecord, Interest, Link, LocalTime, ObjectId, Orientation, Position,
-    Refusal, Role, ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
+    Arrival, ClientControl, ClientHeader, ClientRecord, Interest, Link, LinkHeader, LocalTime, ObjectId, Orientation,
+    Position, Refusal, Role, ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
 };
 use eyeline_visibility::{DynamicIndex, Occlusion};
 
-use crate::clock::Clock;
+use crate::clock::{Clock, DRIFT};
 use crate::tracking::{Sabotage, Tracker, TrackerConfig};
 
 /// Settings of a [`Session`].
@@ -114,7 +114,8 @@ pub type IndexMaker = Box<dyn Fn() -> Box<dyn DynamicIndex + Send> + Send>;
 pub struct Session {
     config: SessionConfig,
     make_index: IndexMaker,
-    link: Link<()>,
+    /// What a datagram carried: questions, by their numbers.
+    link: Link<Vec<(ObjectId, u64)>>,
     clock: Clock,
     tracker: Option<Tracker>,
     welcome: Option<Box<Welcome>>,
@@ -225,20 +226,26 @@ impl Session {
         };
         self.stats.datagrams_in += 1;
         let sent_at = self.link.sent_at(header.link.ack);
-        if self.link.receive(&header.link, now, |()| (), |()| ()) == Arrival::Stale {
+        let heard = |questions| {
+            for (object, number) in questions {
+                tracker.handle_heard(object, number);
+            }
+        };
+        if self.link.receive(&header.link, now, heard, |_| ()) == Arrival::Stale {
             self.stats.stale += 1;
             return;
         }
         self.owes_ack = true;
         if let Some(sent_at) = sent_at {
             let hold = std::time::Duration::from_micros(u64::from(header.link.hold_micros));
+            // The server measured the hold with its own clock, which may run faster than ours.
+            let hold = hold.mul_f64(1.0 - DRIFT);
             self.clock.observe(header.sent, now.since(sent_at).saturating_sub(hold), now);
             if self.config.tracker.sabotage == Some(Sabotage::FreezeClock) {
                 self.clock.freeze(now);
             }
         }
-        let round_trip = self.link.round_trip().map(|round_trip| round_trip.smoothed);
-        tracker.handle_path(round_trip, self.link.timeout());
+        tracker.handle_path(self.link.round_trip_max(), self.link.timeout());
         self.stats.records_in += records.len() as u64;
         for record in records {
             match record {
@@ -315,25 +322,41 @@ impl Session {
             return None;
         }
         self.owes_ack = false;
-        let (link, _) = self.link.send((), now);
-        self.link.expire(now, |()| ());
-        let mut writer = DatagramWriter::new(&ClientHeader { link, frame: self.shown }, limit);
+        // The header's size hardly depends on what it says; records are gathered first, then the link is told what goes.
+        let longest = LinkHeader { seq: u32::MAX, ack: u32::MAX, ack_bits: u32::MAX, hold_micros: u32::MAX };
+        let mut probe = DatagramWriter::new(&ClientHeader { link: longest, frame: WorldTime::MAX }, limit);
+        let mut records = Vec::new();
+        let mut questions = Vec::new();
         while let Some(&object) = self.poses_due.front() {
             let (position, orientation) = self.poses[&object];
-            if !writer.push(&ClientRecord::Pose { object, position, orientation }) {
+            let record = ClientRecord::Pose { object, position, orientation };
+            if !probe.push(&record) {
                 break;
             }
-            self.stats.records_out += 1;
+            records.push(record);
             self.poses_due.pop_front();
         }
         while let Some(record) = next.take() {
-            if !writer.push(&record) {
+            if !probe.push(&record) {
                 self.held_back = Some(record);
                 break;
             }
-            self.stats.records_out += 1;
+            if let ClientRecord::Request { object, .. } = record
+                && let Some(number) = tracker.ask_number(object)
+            {
+                questions.push((object, number));
+            }
+            records.push(record);
             next = tracker.poll_record(now);
         }
+        // Never given up for their age: a late acknowledgement still tells the round trip, and that a question was heard.
+        let (link, _) = self.link.send(questions, now);
+        let mut writer = DatagramWriter::new(&ClientHeader { link, frame: self.shown }, limit);
+        for record in &records {
+            let fits = writer.push(record);
+            debug_assert!(fits, "the probe's header is the longest there is");
+        }
+        self.stats.records_out += records.len() as u64;
         self.stats.datagrams_out += 1;
         Some(writer.finish())
     }
@@ -374,6 +397,11 @@ impl Session {
     /// Round-trip time and the greatest of the last 5 s.
     pub fn round_trip(&self) -> Option<(std::time::Duration, std::time::Duration)> {
         Some((self.link.round_trip()?.smoothed, self.link.round_trip_max()?))
+    }
+
+    /// After what time without an answer something is said again.
+    pub fn retry_after(&self) -> std::time::Duration {
+        self.link.timeout()
     }
 
     /// Counters since the start.

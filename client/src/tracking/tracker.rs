@@ -50,6 +50,10 @@ struct Ask {
     reason: Reason,
     sent_at: Option<LocalTime>,
     not_before: Option<u64>,
+    /// Tells this question from an earlier one about the same object.
+    number: u64,
+    /// Whether the server is known to have got it.
+    heard: bool,
 }
 
 /// One object's place in D.
@@ -74,6 +78,17 @@ struct Entry {
     releasing: bool,
 }
 
+/// What was heard last of an object's breaking its bounds.
+#[derive(Clone, Copy, Debug)]
+struct Violated {
+    issue: Issue,
+    at: WorldTime,
+    present: bool,
+}
+
+/// Most objects whose states are kept although no roster has named them yet.
+const EARLY_MAX: usize = 65_536;
+
 /// Beliefs about every object, and what to ask about them.
 pub struct Tracker {
     config: TrackerConfig,
@@ -91,11 +106,18 @@ pub struct Tracker {
     visible: BTreeSet<ObjectId>,
     /// Objects that an answer is awaited for.
     asked: BTreeSet<ObjectId>,
+    /// Questions asked so far.
+    asks: u64,
+    /// The newest violation of each object. Datagrams overtake the control stream, so that one may be heard of before the
+    /// roster that names its object, or that names it with a bound from before.
+    violations: BTreeMap<ObjectId, Violated>,
+    /// States that overtook the roster that names their object, where the server decides what is told.
+    early: BTreeMap<ObjectId, State>,
     out: VecDeque<ClientRecord>,
     exposed: Vec<u32>,
     /// Latest possible server time at the newest frame.
     latest: WorldTime,
-    /// Round trip and turnaround, for the decision whether two fit in a frame.
+    /// Greatest round trip lately, for the decision whether two fit in a frame and for what silence means.
     round_trip: Option<Duration>,
     timeout: Duration,
     stats: TrackerStats,
@@ -120,6 +142,9 @@ impl Tracker {
             queue: BTreeSet::new(),
             visible: BTreeSet::new(),
             asked: BTreeSet::new(),
+            asks: 0,
+            violations: BTreeMap::new(),
+            early: BTreeMap::new(),
             out: VecDeque::new(),
             exposed: Vec::new(),
             latest: WorldTime::MIN,
@@ -147,7 +172,7 @@ impl Tracker {
         self.debug_check();
     }
 
-    /// What the path is like: the round trip, if known, and when to ask again.
+    /// What the path is like: its greatest round trip lately, if known, and when to ask again.
     pub fn handle_path(&mut self, round_trip: Option<Duration>, timeout: Duration) {
         self.round_trip = round_trip;
         self.timeout = timeout;
@@ -161,12 +186,21 @@ impl Tracker {
             return;
         }
         self.handle_left(entry.object);
+        let newer = self.violations.get(&entry.object).copied().filter(|violated| violated.issue > entry.issue);
+        let present = newer.map_or(entry.present, |violated| violated.present);
+        let valid_from = newer.map_or(tick, |violated| violated.at);
+        let early = self.early.remove(&entry.object).filter(|state| present && state.tick >= valid_from);
+        let belief = match (present, early) {
+            (false, _) => Belief::Absent,
+            (true, None) => Belief::Unknown,
+            (true, Some(_)) => Belief::Visible,
+        };
         let fresh = Entry {
             class,
-            belief: if entry.present { Belief::Unknown } else { Belief::Absent },
-            issue: entry.issue,
-            valid_from: WorldTime::MIN,
-            state: None,
+            belief,
+            issue: newer.map_or(entry.issue, |violated| violated.issue),
+            valid_from,
+            state: early,
             ask: None,
             due: None,
             stage_frames: 1,
@@ -175,12 +209,17 @@ impl Tracker {
             releasing: false,
         };
         self.entries.insert(entry.object, fresh);
-        if !entry.present || !self.tracking {
+        if early.is_some() {
+            self.stats.revealed += 1;
+            self.visible.insert(entry.object);
+        }
+        if !present || !self.tracking {
             return;
         }
-        match entry.bound {
+        match entry.bound.filter(|_| newer.is_none()) {
             // Tested at the next frame.
             Some(bound) => self.hold(entry.object, bound.tbv(tick)),
+            None if newer.is_some() && !self.is_staged() => self.ask(entry.object, Want::State, Reason::Violated),
             None => self.ask(entry.object, Want::Bound, Reason::Unknown),
         }
         self.debug_check();
@@ -203,13 +242,21 @@ impl Tracker {
         tick: WorldTime,
         now: LocalTime,
     ) {
+        let state = State { position, orientation, tick };
         let Some(entry) = self.entries.get_mut(&object) else {
             self.stats.stale += 1;
+            if !self.tracking && self.early.len() < EARLY_MAX {
+                self.early.insert(object, state);
+            }
             return;
         };
         let is_old = tick < entry.valid_from || entry.state.is_some_and(|state| state.tick > tick);
         if is_old || matches!(entry.belief, Belief::Absent) {
             self.stats.stale += 1;
+            if !is_old && !self.tracking {
+                // It comes back, as a violation will say that got lost or overtaken.
+                entry.state = Some(state);
+            }
             return;
         }
         // Both ends check the promise of containment (STYLE, "Check a promise at both ends").
@@ -219,20 +266,24 @@ impl Tracker {
         {
             self.stats.broken_bounds += 1;
         }
-        entry.state = Some(State { position, orientation, tick });
+        entry.state = Some(state);
         let awaited = entry.ask.is_some_and(|ask| ask.want == Want::State);
+        // What was pushed before the server got the question is shown, but it is no answer: the server may have stopped
+        // telling since.
+        if entry.ask.is_some_and(|ask| ask.want == Want::State && ask.heard) {
+            entry.ask = None;
+            self.asked.remove(&object);
+        }
         let was_visible = matches!(entry.belief, Belief::Visible);
         if was_visible {
             return;
         }
         if awaited || !self.tracking {
             entry.belief = Belief::Visible;
-            entry.ask = None;
             entry.hidden_frames = 0;
             entry.released_at = None;
             entry.releasing = false;
             self.stats.revealed += 1;
-            self.asked.remove(&object);
             self.leave_t_and_q(object);
             self.visible.insert(object);
         } else {
@@ -289,6 +340,9 @@ impl Tracker {
     /// An object broke its bounds at `at`: whatever was known from before is void.
     pub fn handle_violation(&mut self, object: ObjectId, issue: Issue, at: WorldTime, present: bool) {
         self.out.push_back(ClientRecord::ViolationAck { object, issue });
+        if self.violations.get(&object).is_none_or(|known| known.issue < issue) {
+            self.violations.insert(object, Violated { issue, at, present });
+        }
         let Some(entry) = self.entries.get_mut(&object) else { return };
         if issue <= entry.issue {
             return;
@@ -305,9 +359,14 @@ impl Tracker {
             self.visible.remove(&object);
             self.leave_t_and_q(object);
         } else if !(matches!(entry.belief, Belief::Visible) && entry.state.is_some_and(|state| state.tick >= at)) {
-            let is_told = matches!(entry.belief, Belief::Visible);
+            let has_come = !self.tracking && entry.state.is_some_and(|state| state.tick >= at);
+            let is_told = matches!(entry.belief, Belief::Visible) || has_come;
             entry.belief = if is_told { Belief::Visible } else { Belief::Unknown };
             self.leave_t_and_q(object);
+            if has_come {
+                self.stats.revealed += 1;
+                self.visible.insert(object);
+            }
             // A visible object's new state is on its way; it is drawn where it was until then.
             if !is_told && self.tracking {
                 let want = if self.is_staged() { Want::Bound } else { Want::State };
@@ -337,7 +396,7 @@ impl Tracker {
         self.latest = self.latest.max(latest);
         if !self.tracking {
             // Every object every frame: the baseline without bounds. What is hidden is known all the same.
-            self.test_visible(occlusion);
+            self.test_visible(occlusion, now);
             return;
         }
         // Step 1: stages and bounds whose time is up, as Q tells.
@@ -371,7 +430,7 @@ impl Tracker {
     }
 
     /// Tests each object of V where it may be by now.
-    fn test_visible(&mut self, occlusion: &dyn Occlusion) {
+    fn test_visible(&mut self, occlusion: &dyn Occlusion, now: LocalTime) {
         // A change would have been pushed: what was not heard of for longer than this has not moved.
         let silence = self.config.frame.as_secs_f64() * 2.0 + self.round_trip.unwrap_or_default().as_secs_f64();
         self.stats.work += self.visible.len() as u64;
@@ -379,7 +438,9 @@ impl Tracker {
             let Some(entry) = self.entries.get_mut(object) else { continue };
             let Some(state) = entry.state else { continue };
             let class = &self.classes[entry.class];
-            let age = self.latest.seconds_since(state.tick).clamp(0.0, silence);
+            // Where updates were declined, silence says nothing about the time since.
+            let declined = entry.released_at.filter(|_| entry.releasing).map_or(0.0, |at| now.since(at).as_secs_f64());
+            let age = self.latest.seconds_since(state.tick).clamp(0.0, silence + declined);
             let aabb = extent_box(class, state.position.metres(), class.motion.reach(age));
             entry.hidden_frames = if occlusion.hides(&Bound::Box(aabb)) { entry.hidden_frames + 1 } else { 0 };
         }
@@ -387,7 +448,7 @@ impl Tracker {
 
     /// Declines updates of what has been hidden for long enough, and lets a bound stand for it.
     fn let_go(&mut self, occlusion: &dyn Occlusion, now: LocalTime) {
-        self.test_visible(occlusion);
+        self.test_visible(occlusion, now);
         let linger = self.config.linger_frames.max(1);
         let gone: Vec<ObjectId> = self
             .visible
@@ -400,8 +461,16 @@ impl Tracker {
         for object in gone {
             let local = self.local_tbv(object);
             let Some(entry) = self.entries.get_mut(&object) else { continue };
+            if entry.releasing && entry.hidden_frames == 0 {
+                // In sight again before the bound came: it is shown as it was, and asked for at once, since to wait for
+                // the bound first could cost a round trip more than the promise allows.
+                entry.releasing = false;
+                self.stats.exposed += 1;
+                self.ask(object, Want::State, Reason::Exposed);
+                continue;
+            }
             if entry.releasing {
-                // The server has stopped telling: whether or not it is in sight again, the bound must come.
+                // The server has stopped telling: the bound must come.
                 if entry.released_at.is_some_and(|at| now.since(at) > self.timeout) {
                     entry.released_at = Some(now);
                     self.stats.resent += 1;
@@ -410,6 +479,8 @@ impl Tracker {
                 continue;
             }
             self.stats.released += 1;
+            entry.ask = None;
+            self.asked.remove(&object);
             entry.released_at = Some(now);
             entry.releasing = local.is_none();
             self.out.push_back(ClientRecord::Release { object, want_bound: local.is_none() });
@@ -546,7 +617,7 @@ impl Tracker {
     /// Whether to ask for a bound before a state: only if both round trips fit in one frame, so that the promise's
     /// bound on lateness holds.
     fn is_staged(&self) -> bool {
-        // A quarter of the frame each, since the round trip is smoothed and the answer needs time at both ends.
+        // A quarter of the frame each, since the next may be slower still and the answer needs time at both ends.
         self.config.staged && self.round_trip.is_some_and(|round_trip| round_trip * 4 < self.config.frame)
     }
 
@@ -555,7 +626,8 @@ impl Tracker {
         let late = self.config.sabotage == Some(Sabotage::LateOneTick);
         if let Some(entry) = self.entries.get_mut(&object) {
             let not_before = late.then_some(self.stats.frames + 1);
-            entry.ask = Some(Ask { want, reason, sent_at: None, not_before });
+            self.asks += 1;
+            entry.ask = Some(Ask { want, reason, sent_at: None, not_before, number: self.asks, heard: false });
             self.asked.insert(object);
         }
     }
@@ -566,6 +638,20 @@ impl Tracker {
             && let Some(due) = entry.due.take()
         {
             self.queue.remove(&(due, object));
+        }
+    }
+
+    /// The number of the question that is being asked about `object`, for [`Tracker::handle_heard`].
+    pub fn ask_number(&self, object: ObjectId) -> Option<u64> {
+        Some(self.entries.get(&object)?.ask?.number)
+    }
+
+    /// The server has got the question of this number.
+    pub fn handle_heard(&mut self, object: ObjectId, number: u64) {
+        if let Some(ask) = self.entries.get_mut(&object).and_then(|entry| entry.ask.as_mut())
+            && ask.number == number
+        {
+            ask.heard = true;
         }
     }
 
@@ -609,6 +695,14 @@ impl Tracker {
     /// Whether anything at all is known of where `object` is (a bound, or a state).
     pub fn knows(&self, object: ObjectId) -> bool {
         self.entries.get(&object).is_some_and(|entry| !matches!(entry.belief, Belief::Unknown))
+    }
+
+    /// The bound that stands for `object`, if it is held hidden or was until it was asked for.
+    pub fn held(&self, object: ObjectId) -> Option<Tbv> {
+        match self.entries.get(&object)?.belief {
+            Belief::Hidden(tbv) => Some(tbv),
+            Belief::Unknown | Belief::Visible | Belief::Absent => None,
+        }
     }
 
     /// Number of objects in V, held hidden, and awaiting an answer.

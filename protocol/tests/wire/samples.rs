@@ -117,8 +117,9 @@ pub fn server_control() -> Vec<Sample<ServerControl>> {
         policy: "visible".into(),
         tracking: true,
         blur: 1.0,
-        world: WorldInfo { name: "rooms".into(), hash: [0x5a; 32], size_bytes: 1 << 32 },
+        world: WorldInfo { name: "rooms".into(), hash: [0x5a; 32], size_bytes: 1 << 32, two_sided: true },
         classes: vec![avatar],
+        objects: 300,
     };
     let chair = RosterEntry {
         object: OBJECT,

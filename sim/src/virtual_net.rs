@@ -1,0 +1,19 @@
+//! What would this world do over that network? A simulated network in virtual time, where one seed decides every loss,
+//! delay, duplicate and reorder.
+//!
+//! [`VirtualRun`] drives the same pure cores as the QUIC shells do: one [`eyeline_server::world::World`] and any number of
+//! [`eyeline_client::session::Session`]s. Virtual time is the server's clock, in whole microseconds; each client has a clock
+//! of its own, with its own zero and, if wanted, its own pace. Nothing waits: an event queue jumps from one thing that
+//! happens to the next, so that an hour costs what its messages cost.
+//!
+//! Links follow turmoil's rules: a datagram's [`Fate`] is `Deliver(delay)` or `Drop`. The control stream is reliable and
+//! ordered, as QUIC's streams are: a loss costs it a retransmission's delay.
+
+mod client;
+mod link;
+mod queue;
+mod run;
+
+pub use client::{Client, ClientDriver, ClientPlan, Pose};
+pub use link::{Direction, Fate, Kind, LinkRules, VirtualLink};
+pub use run::{Framed, Ignore, Observer, Passing, Verdict, VirtualRun};

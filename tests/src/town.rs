@@ -1,0 +1,219 @@
+//! Many clients among walls, everything made from a seed.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use eyeline_client::session::SessionConfig;
+use eyeline_client::tracking::{Growth, Sabotage, TrackerConfig};
+use eyeline_protocol::{Role, WorldInfo, WorldTime};
+use eyeline_server::policy::Visible;
+use eyeline_server::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, WorldSpec};
+use eyeline_server::world::{World, WorldConfig};
+use eyeline_sim::virtual_net::{ClientPlan, LinkRules, VirtualRun};
+use glam::DVec3;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use crate::index::IndexView;
+use crate::truth::{Allowance, Truth};
+use crate::walker::{Crowd, Walk, Walker, free_place};
+use crate::walls::{Wall, Walls};
+
+/// What a town is like.
+#[derive(Clone, Debug)]
+pub struct TownRules {
+    /// Decides everything else.
+    pub seed: u64,
+    /// The clients' links.
+    pub link: LinkRules,
+    /// Clients that walk and look.
+    pub clients: usize,
+    /// Avatars of an actor, which walk.
+    pub crowd: u16,
+    /// Objects with a path.
+    pub carts: usize,
+    /// Greatest pace error of a client's clock, as a share.
+    pub drift: f64,
+    /// Share of an avatar's frames at which it teleports.
+    pub teleports: f64,
+    /// Share of a crowd avatar's frames at which it leaves the world.
+    pub away: f64,
+    /// Time for which a bound holds at most.
+    pub validity_max: Duration,
+    /// Who chooses validity periods.
+    pub growth: Growth,
+    /// Greatest lateness of a tick.
+    pub lateness: Duration,
+    /// How fast clients walk, m/s. An avatar's speed limit is 2 m/s.
+    pub walk_speed: f64,
+    /// Damage.
+    pub sabotage: Option<Sabotage>,
+}
+
+impl TownRules {
+    /// Five clients, 44 movers, and a link that the seed decides.
+    pub fn seeded(seed: u64) -> TownRules {
+        let mut chance = Pcg64::seed_from_u64(seed ^ 0x7057_1e55);
+        let millis = |chance: &mut Pcg64, most: u64| Duration::from_micros(chance.random_range(0..=most * 1_000));
+        // A third each: a perfect local link; one that only delays; one with all that can go wrong.
+        let kind = chance.random_range(0..3);
+        let mut link = LinkRules::default();
+        link.delay = if kind == 0 { millis(&mut chance, 5) } else { millis(&mut chance, 80) };
+        if kind > 0 {
+            link.jitter = millis(&mut chance, 30);
+            link.duplicate = chance.random_range(0.0..0.05);
+            link.reorder = chance.random_range(0.0..0.1);
+        }
+        if kind == 2 {
+            link.loss = chance.random_range(0.01..0.12);
+        }
+        TownRules {
+            seed,
+            link,
+            clients: chance.random_range(4..=6),
+            crowd: 20,
+            carts: 24,
+            drift: if chance.random_bool(0.5) { 5e-4 } else { 0.0 },
+            teleports: if chance.random_bool(0.5) { 0.002 } else { 0.0 },
+            away: if chance.random_bool(0.5) { 0.003 } else { 0.0 },
+            validity_max: Duration::from_millis(chance.random_range(800..20_000)),
+            growth: if chance.random_bool(0.25) {
+                Growth::FixedPeriod(Duration::from_millis(chance.random_range(200..2_000)))
+            } else {
+                Growth::AtClient
+            },
+            lateness: Duration::ZERO,
+            walk_speed: chance.random_range(0.5..2.0),
+            sabotage: None,
+        }
+    }
+}
+
+/// Half the side of the town's square, metres.
+const HALF: f64 = 18.0;
+
+/// A town that runs.
+pub struct Town {
+    /// The run.
+    pub run: VirtualRun,
+    /// What is known to be wrong with it.
+    pub truth: Truth,
+    rules: TownRules,
+    walls: Arc<Walls>,
+    chance: Pcg64,
+}
+
+impl Town {
+    /// Builds the town; its clients join in the first 200 ms.
+    pub fn new(rules: TownRules) -> Town {
+        let mut chance = Pcg64::seed_from_u64(rules.seed);
+        let walls = Arc::new(walls(&mut chance));
+        let mut config = WorldConfig::default().with_grid_seed(rules.seed);
+        config.validity_max = rules.validity_max;
+        let spec = spec(&walls, &mut chance, rules.carts);
+        let start = WorldTime::from_micros(0);
+        let info = WorldInfo { name: "town".into(), hash: [0; 32], size_bytes: 0, two_sided: false };
+        let world = World::new(config, spec, info, DVec3::ZERO, Box::new(Visible), start).expect("towns are well made");
+        let mut run = VirtualRun::new(world, rules.seed, start);
+        if rules.lateness > Duration::ZERO {
+            let mut late = Pcg64::seed_from_u64(rules.seed ^ 0x1a7e);
+            let most = rules.lateness.as_micros() as u64;
+            // Often on time, sometimes by several ticks.
+            run.set_lateness(move |_| {
+                Duration::from_micros(if late.random_bool(0.3) { late.random_range(0..most) } else { 0 })
+            });
+        }
+        let truth = Truth::new(walls.clone());
+        let mut town = Town { run, truth, rules, walls, chance };
+        town.join_crowd();
+        for _ in 0..town.rules.clients {
+            town.join();
+            town.run_for(Duration::from_millis(30));
+        }
+        town
+    }
+
+    fn join_crowd(&mut self) {
+        let count = self.rules.crowd;
+        if count == 0 {
+            return;
+        }
+        let walks = (0..count).map(|_| self.walk(1.6)).collect();
+        let session = SessionConfig::default().with_role(Role::Actor { avatars: count });
+        let plan = ClientPlan::new(session, self.rules.link);
+        let driver = Crowd::new(walks, self.rules.teleports, self.rules.away);
+        self.run.join(plan, Box::new(driver), IndexView::default().maker());
+    }
+
+    fn walk(&mut self, speed: f64) -> Walk {
+        let place = free_place(&self.walls, &mut self.chance, HALF);
+        Walk::new(self.walls.clone(), self.chance.random(), place, speed, HALF)
+    }
+
+    /// Another client joins, now; returns its number.
+    pub fn join(&mut self) -> usize {
+        let tracker = TrackerConfig::default().with_growth(self.rules.growth).with_sabotage(self.rules.sabotage);
+        let session = SessionConfig::default().with_tracker(tracker);
+        let drift = if self.chance.random_bool(0.5) { self.rules.drift } else { -self.rules.drift };
+        let plan = ClientPlan::new(session, self.rules.link).with_drift(drift);
+        let allowance = Allowance::of(plan.up, plan.down);
+        let walk = self.walk(self.rules.walk_speed);
+        let driver = Walker::new(self.walls.clone(), walk, self.rules.teleports);
+        let view = IndexView::default();
+        let client = self.run.join(plan, Box::new(driver), view.maker());
+        self.truth.watch(client, view, allowance);
+        client
+    }
+
+    /// A client's connection is cut.
+    pub fn leave(&mut self, client: usize) {
+        self.run.cut(client);
+    }
+
+    /// Lets time pass.
+    pub fn run_for(&mut self, span: Duration) {
+        self.run.run_for(span, &mut self.truth);
+    }
+}
+
+/// Walls of all lengths, 0.2 m thick, along both axes.
+fn walls(chance: &mut Pcg64) -> Walls {
+    let walls = (0..16)
+        .map(|i| {
+            let (x, z) = (chance.random_range(-HALF..HALF), chance.random_range(-HALF..HALF));
+            let long = chance.random_range(3.0..14.0);
+            if i % 2 == 0 { Wall::new(x, z, x + long, z + 0.2) } else { Wall::new(x, z, x + 0.2, z + long) }
+        })
+        .collect();
+    Walls { walls }
+}
+
+fn spec(walls: &Walls, chance: &mut Pcg64, carts: usize) -> WorldSpec {
+    let cart = ClassSpec { name: "cart".into(), radius: 0.4, bottom: 0.0, top: 1.0, speed_max: 3.0 };
+    let objects = (0..carts)
+        .map(|i| {
+            let points: Vec<[f64; 3]> =
+                (0..chance.random_range(2..5)).map(|_| free_place(walls, chance, HALF).to_array()).collect();
+            let path = PathSpec {
+                speed: chance.random_range(0.3..2.0),
+                pause: chance.random_range(0.0..2.0),
+                phase: chance.random_range(0.0..1.0),
+                wobble: if chance.random_bool(0.3) { 0.1 } else { 0.0 },
+                wobble_per_metre: 1.0,
+                points,
+            };
+            let position = path.points[0];
+            ObjectSpec {
+                name: format!("cart {i}"),
+                class: "cart".into(),
+                node: None,
+                position,
+                heading: 0.0,
+                path: Some(path),
+            }
+        })
+        .collect();
+    let spawns =
+        (0..8).map(|_| SpawnSpec { position: free_place(walls, chance, HALF).to_array(), heading: 0.0 }).collect();
+    WorldSpec { spawns, classes: vec![cart], objects, ..WorldSpec::default() }
+}

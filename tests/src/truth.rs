@@ -1,0 +1,304 @@
+//! Checkers that see everything: is each hidden object where its bound says, and is what can be seen drawn in time?
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
+use std::time::Duration;
+
+use eyeline_protocol::{ClientRecord, Issue, ObjectId, ServerRecord, WorldTime, codec};
+use eyeline_server::world::{Object, World};
+use eyeline_sim::virtual_net::{Direction, Framed, Kind, LinkRules, Observer, Passing};
+use eyeline_visibility::{Aabb, Bound};
+use glam::DVec3;
+
+use crate::index::IndexView;
+use crate::walls::Walls;
+
+/// What a client's link is known to do: how late something may be.
+#[derive(Clone, Copy, Debug)]
+pub struct Allowance {
+    /// Longest way to the server.
+    pub up_max: Duration,
+    /// Longest way from the server.
+    pub down_max: Duration,
+}
+
+impl Allowance {
+    /// What these rules allow.
+    pub fn of(up: LinkRules, down: LinkRules) -> Allowance {
+        Allowance { up_max: up.one_way_max(), down_max: down.one_way_max() }
+    }
+
+    /// The greatest round trip; the server's turnaround is nothing in virtual time.
+    pub fn round_trip_max(&self) -> Duration {
+        self.up_max + self.down_max
+    }
+}
+
+/// One object's past.
+#[derive(Default)]
+struct Past {
+    alive: bool,
+    issue: Issue,
+    /// Tick of the newest violation: a bound from before it is void.
+    violated_tick: Option<WorldTime>,
+    /// True time of it.
+    violated_at: Option<WorldTime>,
+    /// True time at which this id came into use.
+    appeared_at: Option<WorldTime>,
+    /// Newest changes of state: tick, and true time of its commit.
+    changes: VecDeque<(WorldTime, WorldTime)>,
+}
+
+struct Watcher {
+    view: IndexView,
+    allowance: Allowance,
+    /// Since when an object has been truly visible in every frame.
+    seen_since: BTreeMap<ObjectId, WorldTime>,
+    /// Lost datagrams that spoke of an object.
+    lost: BTreeMap<ObjectId, VecDeque<WorldTime>>,
+    /// Lost packets of the control stream, which hold up what comes after.
+    lost_control: VecDeque<WorldTime>,
+    retry_max: Duration,
+}
+
+/// Watches a run over [`Walls`] and records each promise that is broken (DESIGN §3.2 and §3.3).
+pub struct Truth {
+    walls: Arc<Walls>,
+    objects: Vec<Past>,
+    watchers: BTreeMap<usize, Watcher>,
+    /// What was wrong, in order; at most [`FAILURES_MAX`].
+    pub failures: Vec<String>,
+    /// How many things were wrong.
+    pub failed: u64,
+    /// Bounds that were compared with the truth.
+    pub bounds_checked: u64,
+    /// Object-frames in which an object was truly visible.
+    pub visible_checked: u64,
+    /// Of these, the ones in which it was not drawn (yet).
+    pub not_drawn: u64,
+    /// Object-frames in which a bound was believed that its object had broken on purpose.
+    pub broken_believed: u64,
+    /// Shown states that were compared with the truth.
+    pub states_checked: u64,
+}
+
+const FAILURES_MAX: usize = 8;
+
+/// How far back a loss may still matter to what is late now.
+const LOSS_WINDOW: Duration = Duration::from_millis(1_500);
+
+/// So many changes of an object are remembered: 10 s at 20 Hz.
+const CHANGES_MAX: usize = 200;
+
+impl Truth {
+    /// A checker for a scene.
+    pub fn new(walls: Arc<Walls>) -> Truth {
+        Truth {
+            walls,
+            objects: Vec::new(),
+            watchers: BTreeMap::new(),
+            failures: Vec::new(),
+            failed: 0,
+            bounds_checked: 0,
+            visible_checked: 0,
+            not_drawn: 0,
+            broken_believed: 0,
+            states_checked: 0,
+        }
+    }
+
+    /// Checks this client from now on.
+    pub fn watch(&mut self, client: usize, view: IndexView, allowance: Allowance) {
+        let watcher = Watcher {
+            view,
+            allowance,
+            seen_since: BTreeMap::new(),
+            lost: BTreeMap::new(),
+            lost_control: VecDeque::new(),
+            retry_max: Duration::ZERO,
+        };
+        self.watchers.insert(client, watcher);
+    }
+
+    /// Fails the test if anything was wrong.
+    #[track_caller]
+    pub fn assert_kept(&self, what: &str) {
+        assert!(self.failed == 0, "{what}: {} promises broken, first:\n{}", self.failed, self.failures.join("\n"));
+    }
+
+    fn learn(&mut self, world: &World, at: WorldTime) {
+        let tick = world.committed_at();
+        self.objects.resize_with(world.objects().len(), Past::default);
+        for (object, past) in world.objects().iter().zip(&mut self.objects) {
+            let is_new = object.alive && (!past.alive || past.issue != object.issue && past.issue == Issue(0));
+            if object.alive && (!past.alive || past.issue != object.issue) {
+                past.violated_tick = Some(tick);
+                past.violated_at = Some(at);
+            }
+            if is_new {
+                past.appeared_at = Some(at);
+            }
+            (past.alive, past.issue) = (object.alive, object.issue);
+            if past.changes.back().is_none_or(|&(changed, _)| changed < object.changed_at) {
+                past.changes.push_back((object.changed_at, at));
+                if past.changes.len() > CHANGES_MAX {
+                    past.changes.pop_front();
+                }
+            }
+        }
+    }
+
+    fn note_lost(&mut self, message: &Passing<'_>) {
+        let Some(watcher) = self.watchers.get_mut(&message.client) else { return };
+        let mut note = |object| watcher.lost.entry(object).or_default().push_back(message.at);
+        match (message.kind, message.direction) {
+            (Kind::Datagram, Direction::Up) => {
+                for record in codec::decode_client_datagram(message.bytes).map_or(Vec::new(), |(_, records)| records) {
+                    match record {
+                        ClientRecord::Pose { .. } => {}
+                        ClientRecord::Request { object, .. }
+                        | ClientRecord::Release { object, .. }
+                        | ClientRecord::ViolationAck { object, .. } => note(object),
+                    }
+                }
+            }
+            (Kind::Datagram, Direction::Down) => {
+                for record in codec::decode_server_datagram(message.bytes).map_or(Vec::new(), |(_, records)| records) {
+                    match record {
+                        ServerRecord::State { object, .. }
+                        | ServerRecord::Bound { object, .. }
+                        | ServerRecord::Violation { object, .. }
+                        | ServerRecord::Hidden { object } => note(object),
+                    }
+                }
+            }
+            (Kind::Control, _) => watcher.lost_control.push_back(message.at),
+        }
+    }
+
+    fn check(&mut self, frame: &Framed<'_>) {
+        let Truth { walls, objects, watchers, failures, failed, .. } = self;
+        let Some(watcher) = watchers.get_mut(&frame.client) else { return };
+        let (Some(eye), Some(tracker), Some(time)) = (frame.eye, frame.session.tracker(), frame.time) else { return };
+        let Some(welcome) = frame.session.welcome() else { return };
+        let at = frame.at;
+        let mut fail = |text: String| {
+            *failed += 1;
+            if failures.len() < FAILURES_MAX {
+                failures.push(format!("client {} at {} µs: {text}", frame.client, at.micros()));
+            }
+        };
+        if time.latest < at {
+            fail(format!("its latest possible server time is {} µs early", at.micros() - time.latest.micros()));
+        }
+        watcher.retry_max = watcher.retry_max.max(frame.session.retry_after());
+        let drawn: BTreeMap<ObjectId, WorldTime> = tracker.drawn().map(|drawn| (drawn.object, drawn.tick)).collect();
+        let own: BTreeSet<ObjectId> = welcome.avatars.iter().map(|avatar| avatar.0).collect();
+        let frame_period = Duration::from_millis(50);
+        let recent = |past: WorldTime| at.since(past) <= LOSS_WINDOW;
+        watcher.lost_control.retain(|&past| recent(past));
+        let lost_control = watcher.lost_control.len() as u32;
+        for (index, (object, past)) in frame.world.objects().iter().zip(objects.iter()).enumerate() {
+            let id = ObjectId(index as u32);
+            if !object.alive || !object.present || own.contains(&id) {
+                watcher.seen_since.remove(&id);
+                continue;
+            }
+            let losses = watcher.lost.get_mut(&id).map_or(0, |lost| {
+                lost.retain(|&past| recent(past));
+                lost.len() as u32
+            });
+            // Only who has come lately is waited for on the control stream.
+            let losses = losses + if past.appeared_at.is_some_and(recent) { lost_control } else { 0 };
+            let down_max = watcher.allowance.down_max;
+            let for_losses = losses * (watcher.retry_max + frame_period);
+            let place = object.position.metres();
+            // Contained.
+            if let Some(tbv) = tracker.held(id) {
+                let is_broken =
+                    tbv.issue < object.issue && past.violated_tick.is_some_and(|violated| tbv.issued < violated);
+                if is_broken {
+                    self.broken_believed += 1;
+                    let since = past.violated_at.unwrap_or(at);
+                    if at > since + down_max + for_losses && losses == 0 {
+                        fail(format!("{id}: believes a bound that was broken {} µs ago", at.since(since).as_micros()));
+                    }
+                } else if tbv.holds_at(at) {
+                    self.bounds_checked += 1;
+                    if !tbv.contains(place, at) {
+                        let distance = tbv.centre.metres().distance(place);
+                        let radius = tbv.radius_at(at);
+                        fail(format!("{id}: is {distance} m from its bound's centre, whose radius is {radius} m"));
+                    }
+                    if let Some(Bound::Box(inserted)) = watcher.view.bound(id.0)
+                        && !inserted.contains_box(&shape(frame.world, object, place))
+                    {
+                        fail(format!("{id}: at {place} is not in the box that T holds, {inserted:?}"));
+                    }
+                }
+            }
+            // Never late.
+            let radius = frame.world.classes()[usize::from(object.class.0)].extent.radius;
+            if walls.sees_disc(eye, place, radius) {
+                self.visible_checked += 1;
+                let since = *watcher.seen_since.entry(id).or_insert(at);
+                // A broken bound has to be announced first; who has just appeared, even to be asked for twice.
+                let heard = past.violated_at.map_or(WorldTime::MIN, |violated| violated + down_max);
+                let known = past
+                    .appeared_at
+                    .map_or(WorldTime::MIN, |appeared| appeared + down_max + watcher.allowance.round_trip_max());
+                let bound = since.max(heard).max(known) + watcher.allowance.round_trip_max() + for_losses;
+                if !drawn.contains_key(&id) {
+                    self.not_drawn += 1;
+                    if at > bound {
+                        let late = at.since(since);
+                        fail(format!(
+                            "{id}: visible for {late:?} and not drawn, {losses} losses, held {:?}, knows {}",
+                            tracker.held(id),
+                            tracker.knows(id)
+                        ));
+                    }
+                }
+            } else {
+                watcher.seen_since.remove(&id);
+            }
+            // What is drawn is not older than what a push takes.
+            if let Some(&tick) = drawn.get(&id) {
+                self.states_checked += 1;
+                let allowed = watcher.allowance.round_trip_max() + 2 * frame_period + for_losses;
+                let due = past.changes.iter().rev().find(|&&(_, committed)| committed + allowed < at);
+                if let Some(&(changed, committed)) = due
+                    && tick < changed
+                    && past.appeared_at.is_none_or(|appeared| appeared + allowed < at)
+                {
+                    let age = at.since(committed);
+                    let behind = changed.since(tick);
+                    fail(format!("{id}: drawn from a state {behind:?} before one of {age:?} ago, {losses} losses"));
+                }
+            }
+        }
+    }
+}
+
+/// The box of an upright cylinder at `place`.
+fn shape(world: &World, object: &Object, place: DVec3) -> Aabb {
+    let extent = world.classes()[usize::from(object.class.0)].extent;
+    let side = extent.radius;
+    Aabb::new(place + DVec3::new(-side, extent.bottom, -side), place + DVec3::new(side, extent.top, side))
+}
+
+impl Observer for Truth {
+    fn committed(&mut self, world: &World, at: WorldTime) {
+        self.learn(world, at);
+    }
+
+    fn framed(&mut self, frame: &Framed<'_>) {
+        // Who joined or left since the tick is known too.
+        self.learn(frame.world, frame.at);
+        self.check(frame);
+    }
+
+    fn lost(&mut self, message: &Passing<'_>) {
+        self.note_lost(message);
+    }
+}

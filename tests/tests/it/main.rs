@@ -1,0 +1,6 @@
+//! Whole-system scenarios in virtual time. Each name is a claim.
+
+mod network;
+mod promises;
+mod seeds;
+mod walls;
