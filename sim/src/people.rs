@@ -164,8 +164,8 @@ pub struct Replay {
     /// When the trace began, and by how much it is shifted, in seconds.
     began: Option<LocalTime>,
     start_s: f64,
-    /// Who is in each slot.
-    slots: Vec<Option<usize>>,
+    /// Who is in each slot, and since which time around: who begins anew is somebody else.
+    slots: Vec<Option<(i64, usize)>>,
     /// Places to announce: (slot, where, whether present).
     pub moves: u64,
     placing: Vec<(ObjectId, Position, bool)>,
@@ -187,12 +187,13 @@ impl Replay {
     fn advance(&mut self, avatars: &[ObjectId], now: LocalTime) -> Vec<Pose> {
         let began = *self.began.get_or_insert(now);
         let span = self.crowd.trace.span_s().max(1e-3);
-        let time_s = (self.start_s + now.seconds_since(began)).rem_euclid(span);
+        let gone_s = self.start_s + now.seconds_since(began);
+        let (lap, time_s) = (gone_s.div_euclid(span) as i64, gone_s.rem_euclid(span));
         let wanted = self.crowd.trace.slots_at(time_s);
         let mut poses = Vec::new();
         for (slot, &object) in avatars.iter().enumerate().take(self.slots.len()) {
-            let person = wanted.get(slot).copied().flatten();
-            let place = person.and_then(|person| {
+            let person = wanted.get(slot).copied().flatten().map(|person| (lap, person));
+            let place = person.and_then(|(_, person)| {
                 let at = self.crowd.trace.position_at(person, time_s)?;
                 let facing = self.crowd.trace.facing_at(person, time_s).unwrap_or(0.0);
                 let feet = self.crowd.placement.feet(at) - self.anchor;
