@@ -81,7 +81,8 @@ fn wait_for(path: &Path) -> anyhow::Result<String> {
             }
             Err(error) => {
                 let path = path.display();
-                return Err(error).with_context(|| format!("no server has written {path}; start one with --ready-file"));
+                return Err(error)
+                    .with_context(|| format!("no server has written {path}; start one with --ready-file"));
             }
         }
     }

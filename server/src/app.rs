@@ -101,7 +101,8 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         let _ = writeln!(text, "listening    {address} (QUIC over UDP); Ctrl-C ends it");
         let _ = writeln!(text, "fingerprint  {fingerprint}");
         print(&text);
-        let _ready = options.ready_file.as_deref().map(|path| ReadyFile::write(path, address, &fingerprint)).transpose()?;
+        let _ready =
+            options.ready_file.as_deref().map(|path| ReadyFile::write(path, address, &fingerprint)).transpose()?;
         let handle = server.handle();
         server.run(shutdown).await;
         anyhow::Ok(summary(&handle))
@@ -266,7 +267,10 @@ mod tests {
     #[test]
     fn an_error_is_one_line_and_says_nothing_twice() {
         let inner = anyhow::anyhow!("line 1\n  | \nno such key");
-        assert_eq!(one_line(&inner.context("a.toml").context("loading a.toml")), "loading a.toml: line 1 | no such key");
+        assert_eq!(
+            one_line(&inner.context("a.toml").context("loading a.toml")),
+            "loading a.toml: line 1 | no such key"
+        );
     }
 
     #[test]

@@ -136,9 +136,8 @@ impl Model {
     /// # Errors
     /// If there is no such policy, or the world contradicts itself.
     pub fn world(&self, config: WorldConfig, policy: &str, now: WorldTime) -> Result<World, StartError> {
-        let under = |policy| {
-            World::new(config.clone(), self.spec.clone(), self.info.clone(), self.scene.anchor(), policy, now)
-        };
+        let under =
+            |policy| World::new(config.clone(), self.spec.clone(), self.info.clone(), self.scene.anchor(), policy, now);
         let policy: Box<dyn Policy> = match policy {
             "visible" => Box::new(Visible),
             "broadcast" => Box::new(Broadcast),

@@ -90,7 +90,8 @@ fn place(options: &Replay, trace: &Trace) -> anyhow::Result<Placement> {
     if let Some(origin) = options.trace_origin {
         return Ok(Placement { origin, heading: options.trace_heading, scale: options.trace_scale });
     }
-    let world = options.world.as_deref().context("where does the crowd go? give --world FILE or --trace-origin X,Y,Z")?;
+    let world =
+        options.world.as_deref().context("where does the crowd go? give --world FILE or --trace-origin X,Y,Z")?;
     let (model, ..) = load_model(world, None)?;
     let places: Vec<DVec3> = model.spec.spawns.iter().map(|spawn| DVec3::from_array(spawn.position)).collect();
     Placement::fit(trace, &places)
@@ -129,20 +130,25 @@ async fn play(options: &Replay, crowd: Crowd, avatars: u16) -> anyhow::Result<()
     }
     let anchor = DVec3::from_array(welcome.anchor);
     let mut replay = people::Replay::new(crowd, anchor, options.trace_start);
-    let progress = Progress::new(options.seconds.ceil() as u64, "seconds");
+    let mut to_come = options.seconds.ceil() as u64;
+    let progress = Progress::new(to_come, "seconds");
     let end = async {
-        let count = async {
-            let mut seconds = tokio::time::interval(Duration::from_secs(1));
-            seconds.tick().await;
-            loop {
-                seconds.tick().await;
-                progress.inc(1);
+        let over = tokio::time::sleep(Duration::from_secs_f64(options.seconds));
+        let mut seconds = tokio::time::interval(Duration::from_secs(1));
+        seconds.tick().await;
+        tokio::pin!(over, shutdown);
+        loop {
+            tokio::select! {
+                () = &mut shutdown => break,
+                () = &mut over => {
+                    progress.inc(to_come);
+                    break;
+                }
+                _ = seconds.tick() => {
+                    progress.inc(1);
+                    to_come = to_come.saturating_sub(1);
+                }
             }
-        };
-        tokio::select! {
-            () = count => {}
-            () = shutdown => {}
-            () = tokio::time::sleep(Duration::from_secs_f64(options.seconds)) => {}
         }
     };
     let first = connection.clock().now();

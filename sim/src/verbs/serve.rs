@@ -35,7 +35,8 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim serve --world oa_dm2.glb --policy oracle --avatar-speed 3";
 
 fn columns_by_rows(text: &str) -> Result<(u32, u32), String> {
-    let parsed = text.split_once(['x', '×']).and_then(|(columns, rows)| Some((columns.parse().ok()?, rows.parse().ok()?)));
+    let parsed =
+        text.split_once(['x', '×']).and_then(|(columns, rows)| Some((columns.parse().ok()?, rows.parse().ok()?)));
     parsed.ok_or_else(|| "give two whole numbers, as in 10x10".to_owned())
 }
 

@@ -202,7 +202,8 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
     }
 
     let end = Duration::from_secs_f64(options.seconds);
-    let progress = Progress::new(options.seconds.ceil() as u64, "seconds");
+    let mut to_come = options.seconds.ceil() as u64;
+    let progress = Progress::new(to_come, "seconds");
     let mut outcomes = Vec::new();
     let mut failed: Option<anyhow::Error> = None;
     let mut seconds = tokio::time::interval(Duration::from_secs(1));
@@ -211,9 +212,15 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
     tokio::pin!(over);
     loop {
         tokio::select! {
-            () = &mut over => break,
+            () = &mut over => {
+                progress.inc(to_come);
+                break;
+            }
             () = &mut shutdown => break,
-            _ = seconds.tick() => progress.inc(1),
+            _ = seconds.tick() => {
+                progress.inc(1);
+                to_come = to_come.saturating_sub(1);
+            }
             // None ends by itself unless something went wrong.
             Some(outcome) = clients.join_next() => {
                 failed = outcome?.err();
