@@ -3,8 +3,11 @@
 //! [`session::Session`] and [`tracking::Tracker`] are pure state machines: no socket, no clock, no thread. The feature
 //! `net` adds the QUIC shell.
 
+#[cfg(feature = "net")]
+pub mod app;
 pub mod clock;
 #[cfg(feature = "net")]
 pub mod net;
 pub mod session;
 pub mod tracking;
+pub mod world;

@@ -1,6 +1,6 @@
 //! One client's side of a connection, pure: bytes and time in, bytes and beliefs out.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use eyeline_protocol::codec::{self, DatagramWriter, DecodeError};
 use eyeline_protocol::{
@@ -119,6 +119,9 @@ pub struct Session {
     clock: Clock,
     tracker: Option<Tracker>,
     welcome: Option<Box<Welcome>>,
+    /// Roster entries of the welcome that have not arrived.
+    objects_due: u32,
+    moving_nodes: BTreeSet<String>,
     poses: BTreeMap<ObjectId, (Position, Orientation)>,
     /// Avatars whose newest pose has not been said, by id; emptied in turn so that none is starved.
     poses_due: VecDeque<ObjectId>,
@@ -151,6 +154,8 @@ impl Session {
             clock: Clock::default(),
             tracker: None,
             welcome: None,
+            objects_due: 0,
+            moving_nodes: BTreeSet::new(),
             poses: BTreeMap::new(),
             poses_due: VecDeque::new(),
             owes_ack: false,
@@ -182,11 +187,17 @@ impl Session {
                 self.poses = welcome.avatars.iter().map(|&(id, at, turn)| (id, (at, turn))).collect();
                 // Without a frame yet, say something: the clock needs a probe.
                 self.owes_ack = true;
+                self.objects_due = welcome.objects;
                 self.welcome = Some(welcome.clone());
                 self.events.push_back(Event::Welcomed(welcome));
             }
             Ok(ServerControl::Refused { refusal, reason }) => self.events.push_back(Event::Refused { refusal, reason }),
             Ok(ServerControl::Roster { tick, entries }) => {
+                if self.objects_due > 0 {
+                    self.objects_due = self.objects_due.saturating_sub(entries.len() as u32);
+                    let nodes = entries.iter().filter(|entry| !entry.node.is_empty());
+                    self.moving_nodes.extend(nodes.map(|entry| entry.node.clone()));
+                }
                 if let Some(tracker) = &mut self.tracker {
                     for entry in &entries {
                         tracker.handle_roster(entry, tick);
@@ -358,6 +369,19 @@ impl Session {
     /// What the server said at the beginning.
     pub fn welcome(&self) -> Option<&Welcome> {
         self.welcome.as_deref()
+    }
+
+    /// Names of the model's nodes that move, and so are not part of the static scene; `None` until every object that
+    /// existed at the welcome has been told of.
+    pub fn moving_nodes(&self) -> Option<&BTreeSet<String>> {
+        (self.welcome.is_some() && self.objects_due == 0).then_some(&self.moving_nodes)
+    }
+
+    /// Replaces the tracker's T, once the world's size is known. Without this bounds outside the first T's box cost more.
+    pub fn use_index(&mut self, index: Box<dyn DynamicIndex + Send>) {
+        if let Some(tracker) = &mut self.tracker {
+            tracker.use_index(index);
+        }
     }
 
     /// Beliefs, once the server has let us in.

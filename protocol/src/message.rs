@@ -130,6 +130,8 @@ pub struct WorldInfo {
     pub hash: [u8; 32],
     /// Size of the model.
     pub size_bytes: u64,
+    /// Whether every face counts as having two sides, whatever its material says.
+    pub two_sided: bool,
 }
 
 /// What an admitted client must know.
@@ -158,6 +160,8 @@ pub struct Welcome {
     /// Kinds of objects; a [`ClassId`] is an index.
     #[serde(deserialize_with = "untrusted::list")]
     pub classes: Vec<Class>,
+    /// Roster entries that follow at once. Who has them all knows which nodes of the model move, and so what stands.
+    pub objects: u32,
 }
 
 /// One object that exists. Says nothing of where it is beyond `bound`.

@@ -3,6 +3,8 @@
 //! [`world::World`] is a pure state machine that runs over real QUIC and in virtual time alike; a [`policy::Policy`]
 //! decides what each client is told.
 
+#[cfg(all(feature = "net", feature = "audit"))]
+pub mod app;
 #[cfg(feature = "audit")]
 pub mod model;
 #[cfg(feature = "net")]

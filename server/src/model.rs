@@ -4,12 +4,14 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use eyeline_protocol::WorldInfo;
+use eyeline_protocol::{Class, WorldInfo, WorldTime};
 use eyeline_visibility::{LoadError, LoadOptions, LoadStats, Scene, load_glb_with_stats, pack_glb};
 use glam::DVec3;
 use serde::Deserialize;
 
+use crate::policy::{Broadcast, ExactSight, Meshes, Oracle, Policy, Visible};
 use crate::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, WorldSpec};
+use crate::world::{World, WorldConfig, WorldError};
 
 /// A model and what moves in it.
 #[derive(Clone)]
@@ -124,9 +126,55 @@ impl Model {
             name: if spec.name.is_empty() { short } else { spec.name.clone() },
             hash: sha256(&bytes),
             size_bytes: bytes.len() as u64,
+            two_sided: spec.two_sided,
         };
         Ok(Model { bytes: bytes.into(), info, spec, scene: Arc::new(scene), stats })
     }
+
+    /// A world of this model under the policy of this name, one of [`POLICIES`], whose first tick is at `now`.
+    ///
+    /// # Errors
+    /// If there is no such policy, or the world contradicts itself.
+    pub fn world(&self, config: WorldConfig, policy: &str, now: WorldTime) -> Result<World, StartError> {
+        let under =
+            |policy| World::new(config.clone(), self.spec.clone(), self.info.clone(), self.scene.anchor(), policy, now);
+        let policy: Box<dyn Policy> = match policy {
+            "visible" => Box::new(Visible),
+            "broadcast" => Box::new(Broadcast),
+            "oracle" => {
+                // The classes are the world's, which is made twice for them; it is cheap without an oracle.
+                let classes = under(Box::new(Visible))?.classes().to_vec();
+                let meshes = Arc::new(self.meshes(&classes[0]));
+                Box::new(Oracle::new(Box::new(ExactSight::new(self.scene.clone(), meshes, classes))))
+            }
+            other => return Err(StartError::Policy(other.to_owned())),
+        };
+        Ok(under(policy)?)
+    }
+
+    /// The meshes of what moves; `avatar` is the class of avatars.
+    pub fn meshes(&self, avatar: &Class) -> Meshes {
+        let headings = self
+            .spec
+            .objects
+            .iter()
+            .map(|object| (object.node.as_ref().unwrap_or(&object.name).as_str(), object.heading));
+        Meshes::new(&self.scene, headings, avatar)
+    }
+}
+
+/// The interest policies that a world can be run under.
+pub const POLICIES: [&str; 3] = ["visible", "broadcast", "oracle"];
+
+/// Why a model can't be run.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// No such policy.
+    #[error("'{0}' is no policy; there are {all}", all = POLICIES.join(", "))]
+    Policy(String),
+    /// The world contradicts itself.
+    #[error(transparent)]
+    World(#[from] WorldError),
 }
 
 /// The scene of a model whose moving nodes a specification names: the same at the server and at a client that knows the

@@ -54,6 +54,19 @@ impl Mover {
     }
 }
 
+/// What people must know of the world that they are in. Shared by all of a process.
+#[derive(Clone)]
+pub struct Ground {
+    /// Rooms and doors, if the world was made; walkers need them.
+    pub plan: Option<Arc<RoomPlan>>,
+    /// What an avatar is like.
+    pub avatar: AvatarSpec,
+    /// The world's anchor in the model's space, metres.
+    pub anchor: DVec3,
+    /// Occluders for all-round culling.
+    pub all_round: Arc<AllRound>,
+}
+
 /// Called after each frame with the session, the report, and the pose that the frame was seen from.
 pub type FrameHook = Box<dyn FnMut(&mut Session, &FrameReport, &WalkerPose) + Send>;
 
@@ -77,18 +90,23 @@ pub struct Person {
 impl Person {
     /// The `number`th person of `seed` in a world; culls on cube faces of `side` pixels.
     pub fn new(stage: &Stage, seed: u64, number: usize, side: u32, hook: Option<FrameHook>) -> Person {
+        Person::on(&stage.ground(), seed, number, side, hook)
+    }
+
+    /// The same, for who has no whole stage.
+    pub fn on(ground: &Ground, seed: u64, number: usize, side: u32, hook: Option<FrameHook>) -> Person {
         Person {
             seed,
             number,
-            plan: stage.plan.clone(),
-            avatar: stage.model.spec.avatar,
-            anchor: stage.anchor(),
+            plan: ground.plan.clone(),
+            avatar: ground.avatar,
+            anchor: ground.anchor,
             mover: None,
             object: ObjectId(0),
             last: None,
             pose: WalkerPose { feet: DVec3::ZERO, yaw: 0.0, eye: DVec3::ZERO },
-            all_round: stage.all_round.clone(),
-            scratch: stage.all_round.scratch(side),
+            all_round: ground.all_round.clone(),
+            scratch: ground.all_round.scratch(side),
             has_culled: false,
             hook,
         }
@@ -146,8 +164,8 @@ pub struct Replay {
     /// When the trace began, and by how much it is shifted, in seconds.
     began: Option<LocalTime>,
     start_s: f64,
-    /// Who is in each slot.
-    slots: Vec<Option<usize>>,
+    /// Who is in each slot, and since which time around: who begins anew is somebody else.
+    slots: Vec<Option<(i64, usize)>>,
     /// Places to announce: (slot, where, whether present).
     pub moves: u64,
     placing: Vec<(ObjectId, Position, bool)>,
@@ -169,12 +187,13 @@ impl Replay {
     fn advance(&mut self, avatars: &[ObjectId], now: LocalTime) -> Vec<Pose> {
         let began = *self.began.get_or_insert(now);
         let span = self.crowd.trace.span_s().max(1e-3);
-        let time_s = (self.start_s + now.seconds_since(began)).rem_euclid(span);
+        let gone_s = self.start_s + now.seconds_since(began);
+        let (lap, time_s) = (gone_s.div_euclid(span) as i64, gone_s.rem_euclid(span));
         let wanted = self.crowd.trace.slots_at(time_s);
         let mut poses = Vec::new();
         for (slot, &object) in avatars.iter().enumerate().take(self.slots.len()) {
-            let person = wanted.get(slot).copied().flatten();
-            let place = person.and_then(|person| {
+            let person = wanted.get(slot).copied().flatten().map(|person| (lap, person));
+            let place = person.and_then(|(_, person)| {
                 let at = self.crowd.trace.position_at(person, time_s)?;
                 let facing = self.crowd.trace.facing_at(person, time_s).unwrap_or(0.0);
                 let feet = self.crowd.placement.feet(at) - self.anchor;

@@ -7,12 +7,13 @@ use std::sync::Arc;
 use anyhow::Context;
 use eyeline_protocol::{Class, WorldTime};
 use eyeline_server::model::Model;
-use eyeline_server::policy::{Broadcast, ExactSight, Meshes, Oracle, Policy, Visible};
+use eyeline_server::policy::Meshes;
 use eyeline_server::spec::SpawnSpec;
 use eyeline_server::world::{World, WorldConfig};
 use eyeline_visibility::AllRound;
 use glam::DVec3;
 
+use crate::people::Ground;
 use crate::places;
 use crate::scene::plan::{RoomPlan, RoomsRules};
 use crate::scene::rooms;
@@ -41,7 +42,7 @@ pub struct Crowd {
 }
 
 /// The interest policies that can be run.
-pub const POLICIES: [&str; 3] = ["visible", "broadcast", "oracle"];
+pub use eyeline_server::model::POLICIES;
 
 impl Stage {
     /// A made world of rooms.
@@ -60,26 +61,7 @@ impl Stage {
     /// # Errors
     /// Names the file, the value and the remedy.
     pub fn load(path: &Path, world_file: Option<&Path>) -> anyhow::Result<Stage> {
-        let plan = RoomPlan::beside(path)?.map(Arc::new);
-        let model = Model::load(path, world_file)?;
-        let mut notes = Vec::new();
-        let says_nothing = model.spec.objects.is_empty() && plan.is_none();
-        if !says_nothing {
-            return Ok(Stage::of(model, plan, notes));
-        }
-        let mut spec = model.spec.clone();
-        spec.two_sided = true;
-        notes.push("no world file: every face counts as two-sided, nothing moves but avatars".to_owned());
-        match places::beside(path)? {
-            Some(places) if !places.is_empty() => {
-                notes.push(format!("avatars stand at {} places", places.len()));
-                let spawn = |place: &places::Place| SpawnSpec { position: place.position.to_array(), heading: 0.0 };
-                spec.spawns = places.iter().map(spawn).collect();
-            }
-            _ => notes.push("no places file: avatars stand in the middle of the scene, on its lowest level".to_owned()),
-        }
-        let name = path.display().to_string();
-        let model = Model::from_bytes(model.bytes.to_vec(), &name, Some(spec)).context("loading it again two-sided")?;
+        let (model, plan, notes) = load_model(path, world_file)?;
         Ok(Stage::of(model, plan, notes))
     }
 
@@ -112,36 +94,59 @@ impl Stage {
         self.model.scene.anchor()
     }
 
+    /// What people in this world must know of it.
+    pub fn ground(&self) -> Ground {
+        Ground {
+            plan: self.plan.clone(),
+            avatar: self.model.spec.avatar,
+            anchor: self.anchor(),
+            all_round: self.all_round.clone(),
+        }
+    }
+
     /// A world under the policy of this name.
     ///
     /// # Errors
     /// If there is no such policy, or the world contradicts itself.
     pub fn world(&self, config: WorldConfig, policy: &str, now: WorldTime) -> anyhow::Result<World> {
-        let visible = |policy| {
-            World::new(config.clone(), self.model.spec.clone(), self.model.info.clone(), self.anchor(), policy, now)
-        };
-        let policy: Box<dyn Policy> = match policy {
-            "visible" => Box::new(Visible),
-            "broadcast" => Box::new(Broadcast),
-            "oracle" => {
-                // The classes are the world's, which is made twice for them; it is cheap without an oracle.
-                let classes = visible(Box::new(Visible))?.classes().to_vec();
-                let meshes = Arc::new(self.meshes(&classes[0]));
-                Box::new(Oracle::new(Box::new(ExactSight::new(self.model.scene.clone(), meshes, classes))))
-            }
-            other => anyhow::bail!("'{other}' is no policy; there are {}", POLICIES.join(", ")),
-        };
-        Ok(visible(policy)?)
+        Ok(self.model.world(config, policy, now)?)
     }
 
     /// The meshes of what moves; `avatar` is the class of avatars.
     pub fn meshes(&self, avatar: &Class) -> Meshes {
-        let headings = self
-            .model
-            .spec
-            .objects
-            .iter()
-            .map(|object| (object.node.as_ref().unwrap_or(&object.name).as_str(), object.heading));
-        Meshes::new(&self.model.scene, headings, avatar)
+        self.model.meshes(avatar)
     }
+}
+
+/// The model of a file as [`Stage::load`] takes it, the plan of its rooms if it was made, and notes; without the work of
+/// preparing occluders, for who only serves it or places people in it.
+///
+/// # Errors
+/// Names the file, the value and the remedy.
+pub fn load_model(
+    path: &Path,
+    world_file: Option<&Path>,
+) -> anyhow::Result<(Model, Option<Arc<RoomPlan>>, Vec<String>)> {
+    let model = Model::load(path, world_file)?;
+    let plan = RoomPlan::beside(path)?.map(Arc::new);
+    let mut notes = Vec::new();
+    // A world file or extras that say anything, even without an object that moves, are believed.
+    let has_file = world_file.is_some() || path.with_extension("world.toml").exists();
+    if has_file || plan.is_some() || !model.stats.extras.is_empty() {
+        return Ok((model, plan, notes));
+    }
+    let mut spec = model.spec.clone();
+    spec.two_sided = true;
+    notes.push("no world file: every face counts as two-sided, nothing moves but avatars".to_owned());
+    match places::beside(path)? {
+        Some(places) if !places.is_empty() => {
+            notes.push(format!("avatars stand at {} places", places.len()));
+            let spawn = |place: &places::Place| SpawnSpec { position: place.position.to_array(), heading: 0.0 };
+            spec.spawns = places.iter().map(spawn).collect();
+        }
+        _ => notes.push("no places file: avatars stand in the middle of the scene, on its lowest level".to_owned()),
+    }
+    let name = path.display().to_string();
+    let model = Model::from_bytes(model.bytes.to_vec(), &name, Some(spec)).context("loading it again two-sided")?;
+    Ok((model, plan, notes))
 }

@@ -200,7 +200,7 @@ impl PairBuilder {
     pub fn build(self) -> Pair {
         let walls = Arc::new(Walls { walls: vec![Wall::new(-5.0, -5.1, 5.0, -4.9)] });
         let start = WorldTime::ZERO;
-        let info = WorldInfo { name: "pair".into(), hash: [0; 32], size_bytes: 0 };
+        let info = WorldInfo { name: "pair".into(), hash: [0; 32], size_bytes: 0, two_sided: false };
         let policy: Box<dyn Policy> = if self.broadcast { Box::new(Broadcast) } else { Box::new(Visible) };
         let spec = WorldSpec { avatar: AvatarSpec { radius: 0.3, ..AvatarSpec::default() }, ..WorldSpec::default() };
         let world =

@@ -112,7 +112,7 @@ impl Town {
         config.validity_max = rules.validity_max;
         let spec = spec(&walls, &mut chance, rules.carts);
         let start = WorldTime::from_micros(0);
-        let info = WorldInfo { name: "town".into(), hash: [0; 32], size_bytes: 0 };
+        let info = WorldInfo { name: "town".into(), hash: [0; 32], size_bytes: 0, two_sided: false };
         let world = World::new(config, spec, info, DVec3::ZERO, Box::new(Visible), start).expect("towns are well made");
         let mut run = VirtualRun::new(world, rules.seed, start);
         if rules.lateness > Duration::ZERO {

@@ -4,7 +4,9 @@
 #![expect(clippy::disallowed_methods, clippy::disallowed_types)]
 
 mod headless;
+mod onlooker;
 mod pin;
+mod scene;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -14,8 +16,10 @@ use bytes::Bytes;
 use eyeline_protocol::codec::ControlReader;
 use eyeline_protocol::{ALPN, LocalTime};
 pub use headless::{Driver, FrameReport, Pose, Summary, run_headless};
+pub use onlooker::{OnFrame, Onlooker};
 pub use pin::{Fingerprint, FingerprintError};
 use quinn::crypto::rustls::QuicClientConfig;
+pub use scene::{ModelSource, SceneError};
 
 use crate::session::{Event, Session};
 
@@ -44,6 +48,9 @@ pub enum NetError {
     /// The connection ended.
     #[error("connection lost: {0}")]
     Lost(String),
+    /// The server ends, and said so.
+    #[error("the server has ended: {0}")]
+    Ended(String),
     /// The server said no.
     #[error("the server refused us ({refusal:?}): {reason}")]
     Refused {
@@ -133,13 +140,16 @@ impl Endpoint {
     ) -> Result<Connection, NetError> {
         let connecting =
             self.endpoint.connect(address, "eyeline").map_err(|source| NetError::Connect { address, source })?;
-        let connection = connecting.await.map_err(|error| {
-            let reason = match &error {
-                quinn::ConnectionError::TimedOut => "nothing answers there; is the server running?".to_owned(),
-                other => other.to_string(),
-            };
+        let silent = |what: &str| {
+            let waited = CONNECT_TIMEOUT.as_secs();
+            let reason = format!("{what} within {waited} s; is the server running, and is this its address?");
             NetError::Handshake { address, reason }
-        })?;
+        };
+        let connection = match tokio::time::timeout(CONNECT_TIMEOUT, connecting).await {
+            Err(_) | Ok(Err(quinn::ConnectionError::TimedOut)) => return Err(silent("nothing answers there")),
+            Ok(Err(error)) => return Err(NetError::Handshake { address, reason: handshake_reason(&error) }),
+            Ok(Ok(connection)) => connection,
+        };
         let (send, receive) = connection.open_bi().await.map_err(|error| NetError::Lost(error.to_string()))?;
         let mut connection = Connection {
             quic: connection,
@@ -151,15 +161,40 @@ impl Endpoint {
             dropped: 0,
         };
         connection.flush().await?;
-        while connection.session.welcome().is_none() {
-            connection.wait_control().await?;
+        let welcomed = async {
+            while connection.session.welcome().is_none() {
+                connection.wait_control().await?;
+            }
+            Ok(())
+        };
+        match tokio::time::timeout(CONNECT_TIMEOUT, welcomed).await {
+            Err(_) => Err(silent("it does not answer our hello")),
+            Ok(Err(error)) => Err(error),
+            Ok(Ok(())) => Ok(connection),
         }
-        Ok(connection)
     }
 
     /// Waits until every connection has said goodbye.
     pub async fn wait_idle(&self) {
         let _ = tokio::time::timeout(Duration::from_secs(2), self.endpoint.wait_idle()).await;
+    }
+}
+
+/// For how long a server may take to answer, first the handshake, then hello.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Why there was no handshake, for people.
+fn handshake_reason(error: &quinn::ConnectionError) -> String {
+    match error {
+        quinn::ConnectionError::TransportError(error) => {
+            // 0x178 is TLS's "no application protocol" (RFC 9001 §4.8, RFC 8446 §6).
+            if u64::from(error.code) == 0x178 {
+                let ours = String::from_utf8_lossy(ALPN);
+                return format!("the server does not speak {ours}; update the older side");
+            }
+            error.reason.clone()
+        }
+        other => other.to_string(),
     }
 }
 
@@ -227,15 +262,17 @@ impl Connection {
     /// If the connection is gone, or the server says so.
     pub async fn arrive(&mut self) -> Result<Arrival, NetError> {
         tokio::select! {
-            datagram = self.quic.read_datagram() => {
-                datagram.map(Arrival::Datagram).map_err(|error| NetError::Lost(error.to_string()))
-            }
+            // Control first: when the server goes, why it went is worth more than that it went.
+            biased;
             chunk = self.receive.read_chunk(16 * 1024, true) => {
                 let chunk = chunk.map_err(|error| NetError::Lost(error.to_string()))?;
                 let Some(chunk) = chunk else { return Err(NetError::Lost("the server closed its stream".into())) };
                 self.reader.push(&chunk.bytes);
                 self.take_control()?;
                 Ok(Arrival::Control)
+            }
+            datagram = self.quic.read_datagram() => {
+                datagram.map(Arrival::Datagram).map_err(|error| NetError::Lost(error.to_string()))
             }
         }
     }
@@ -256,6 +293,9 @@ impl Connection {
         while let Some(event) = self.session.poll_event() {
             match event {
                 Event::Welcomed(_) => {}
+                Event::Refused { refusal: eyeline_protocol::Refusal::ShuttingDown, reason } => {
+                    return Err(NetError::Ended(reason));
+                }
                 Event::Refused { refusal, reason } => return Err(NetError::Refused { refusal, reason }),
                 Event::ServerFault(error) => return Err(error.into()),
             }
@@ -278,8 +318,7 @@ impl Connection {
         let lost = |error: &dyn std::fmt::Display| NetError::Lost(error.to_string());
         let mut stream = self.quic.accept_uni().await.map_err(|error| lost(&error))?;
         let bytes = stream.read_to_end(limit).await.map_err(|error| lost(&error))?;
-        let digest = ring::digest::digest(&ring::digest::SHA256, &bytes);
-        if digest.as_ref() == info.hash { Ok(bytes) } else { Err(NetError::WrongWorld) }
+        if scene::digest(&bytes) == info.hash { Ok(bytes) } else { Err(NetError::WrongWorld) }
     }
 
     /// UDP datagrams and bytes sent and received: (sent, sent bytes, received, received bytes).

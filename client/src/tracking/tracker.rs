@@ -154,6 +154,24 @@ impl Tracker {
         }
     }
 
+    /// Replaces T by an empty `index`, for instance one that knows how large the world is. What was in it is settled anew
+    /// at the next frame.
+    pub fn use_index(&mut self, index: Box<dyn DynamicIndex + Send>) {
+        self.index = index;
+        let held: Vec<(ObjectId, Tbv)> = self
+            .entries
+            .iter()
+            .filter_map(|(&object, entry)| match entry.belief {
+                Belief::Hidden(tbv) if entry.due.is_some() => Some((object, tbv)),
+                _ => None,
+            })
+            .collect();
+        for (object, tbv) in held {
+            self.hold(object, tbv);
+        }
+        self.debug_check();
+    }
+
     /// What the path is like: its greatest round trip lately, if known, and when to ask again.
     pub fn handle_path(&mut self, round_trip: Option<Duration>, timeout: Duration) {
         self.round_trip = round_trip;

@@ -131,8 +131,9 @@ fn whatever_is_legal_fits() {
             policy: name.clone(),
             tracking: true,
             blur: 1e3,
-            world: WorldInfo { name: name.clone(), hash: [0xff; 32], size_bytes: u64::MAX },
+            world: WorldInfo { name: name.clone(), hash: [0xff; 32], size_bytes: u64::MAX, two_sided: true },
             classes: vec![class.clone(); classes],
+            objects: u32::MAX,
         }))
     };
     let size = |avatars, classes| control_bytes(&welcome(avatars, classes)).len();

@@ -291,7 +291,7 @@ fn impossible_values_are_refused_by_name() {
 
     // A welcome with a tick of 0, as bytes.
     let no_tick = "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 00 00 01 000000000000f03f 00 \
-                   0000000000000000000000000000000000000000000000000000000000000000 00 00";
+                   0000000000000000000000000000000000000000000000000000000000000000 00 00 00 00";
     assert_eq!(DECODERS[1](&samples::bytes(no_tick)), value("tick"));
     // A replay of 65,535 avatars.
     let horde = samples::bytes("00 01 00 00 00 00 01fbffff 00");

@@ -117,8 +117,9 @@ pub fn server_control() -> Vec<Sample<ServerControl>> {
         policy: "visible".into(),
         tracking: true,
         blur: 1.0,
-        world: WorldInfo { name: "rooms".into(), hash: [0x5a; 32], size_bytes: 1 << 32 },
+        world: WorldInfo { name: "rooms".into(), hash: [0x5a; 32], size_bytes: 1 << 32, two_sided: true },
         classes: vec![avatar],
+        objects: 300,
     };
     let chair = RosterEntry {
         object: OBJECT,
@@ -145,9 +146,9 @@ pub fn server_control() -> Vec<Sample<ServerControl>> {
             message: ServerControl::Welcome(Box::new(welcome)),
             hex: "00 01 fb2c01 01 010203 04030201 ffffffff 00040000 fffdf75f \
  000000000000f03f 00000000000000c0 000000000000e03f fb50c3 0776697369626c65 01 000000000000f03f \
- 05726f6f6d73 5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a fd0000000001000000 \
+ 05726f6f6d73 5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a fd0000000001000000 01 \
  01 06617661746172 0000000000000040 000000000000c03f \
- 000000000000d03f 0000000000000000 000000000000fc3f 000000000000f83f",
+ 000000000000d03f 0000000000000000 000000000000fc3f 000000000000f83f fb2c01",
         },
         Sample { name: "refused: version", message: refused(Refusal::Version, "old"), hex: "01 00 036f6c64" },
         Sample { name: "refused: full", message: refused(Refusal::Full, ""), hex: "01 01 00" },

@@ -290,6 +290,7 @@ async fn serve(handle: Handle, incoming: quinn::Incoming) {
     let reason = tokio::select! {
         reason = receive_datagrams(&handle, id, &connection) => reason,
         reason = converse(&handle, id, &connection, outgoing) => reason,
+        reason = wait_for_hello(&handle, id) => reason,
     };
     tracing::debug!(session = id.0, %reason, "disconnected");
     connection.close(0u32.into(), reason.as_bytes());
@@ -306,8 +307,17 @@ async fn receive_datagrams(handle: &Handle, id: SessionId, connection: &quinn::C
     }
 }
 
-/// For how long a connection may stay without its control stream.
+/// For how long a connection may stay without being let in.
 const GREETING_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Ready when a client has not said hello in time; never for one that has.
+async fn wait_for_hello(handle: &Handle, id: SessionId) -> String {
+    tokio::time::sleep(GREETING_TIMEOUT).await;
+    if handle.with_world(|world| world.is_admitted(id)) {
+        std::future::pending::<()>().await;
+    }
+    "no hello".into()
+}
 
 async fn converse(
     handle: &Handle,
@@ -315,10 +325,9 @@ async fn converse(
     connection: &quinn::Connection,
     mut outgoing: mpsc::Receiver<Outgoing>,
 ) -> String {
-    let (mut send, mut receive) = match tokio::time::timeout(GREETING_TIMEOUT, connection.accept_bi()).await {
-        Ok(Ok(stream)) => stream,
-        Ok(Err(error)) => return error.to_string(),
-        Err(_) => return "no hello".into(),
+    let (mut send, mut receive) = match connection.accept_bi().await {
+        Ok(stream) => stream,
+        Err(error) => return error.to_string(),
     };
     let reading = async {
         let mut reader = ControlReader::of_client();
@@ -333,12 +342,17 @@ async fn converse(
                 match reader.next_message() {
                     Ok(Some(message)) => handle.drive(|world, now| world.handle_control(id, &message, now)),
                     Ok(None) => break,
-                    Err(error) => return error.to_string(),
+                    Err(error) => {
+                        // Counted and told; writing closes the connection once the client has it.
+                        handle.drive(|world, _| world.handle_broken_control(id, &error));
+                        return std::future::pending::<String>().await;
+                    }
                 }
             }
         }
     };
     let writing = async {
+        let mut sending: Option<tokio::task::JoinHandle<()>> = None;
         while let Some(message) = outgoing.recv().await {
             match message {
                 Outgoing::Control(bytes) => {
@@ -347,8 +361,11 @@ async fn converse(
                     }
                 }
                 Outgoing::WorldBytes => {
-                    let (connection, model) = (connection.clone(), handle.model.clone());
-                    tokio::spawn(async move { send_world(&connection, model).await });
+                    // One at a time: who asks again while it is under way gets no second copy.
+                    if sending.as_ref().is_none_or(|sending| sending.is_finished()) {
+                        let (connection, model) = (connection.clone(), handle.model.clone());
+                        sending = Some(tokio::spawn(async move { send_world(&connection, model).await }));
+                    }
                 }
                 Outgoing::Close(reason) => {
                     // Wait until the peer has it all, or has gone.

@@ -191,6 +191,9 @@ impl World {
     /// One control message, without its length prefix. What makes no sense closes the connection.
     pub fn handle_control(&mut self, id: SessionId, bytes: &[u8], now: WorldTime) {
         let Some(session) = self.sessions.get(&id) else { return };
+        if session.is_refused {
+            return;
+        }
         let live = matches!(session.phase, Phase::Live { .. });
         match codec::decode_client_control(bytes) {
             Err(error) => {
@@ -211,6 +214,17 @@ impl World {
         }
     }
 
+    /// The control stream can't be cut into messages: it is of no more use, and the connection closes.
+    pub fn handle_broken_control(&mut self, id: SessionId, error: &codec::DecodeError) {
+        self.stats.rejected_control += 1;
+        self.refuse(id, Refusal::Protocol, &format!("control stream: {error}"));
+    }
+
+    /// Whether this connection has said hello and was let in.
+    pub fn is_admitted(&self, id: SessionId) -> bool {
+        self.sessions.get(&id).is_some_and(|session| matches!(session.phase, Phase::Live { .. }))
+    }
+
     /// Tells everybody that the server ends, and why.
     pub fn shut_down(&mut self, reason: &str) {
         let ids: Vec<SessionId> = self.sessions.keys().copied().collect();
@@ -220,6 +234,9 @@ impl World {
     }
 
     fn refuse(&mut self, id: SessionId, refusal: Refusal, reason: &str) {
+        if let Some(session) = self.sessions.get_mut(&id) {
+            session.is_refused = true;
+        }
         let message = ServerControl::Refused { refusal, reason: reason.to_owned() };
         self.out.push_back((id, Transmit::Control(codec::encode_control(&message))));
         self.out.push_back((id, Transmit::Close(reason.to_owned())));
@@ -248,6 +265,14 @@ impl World {
         });
         let present = role == Role::Avatar;
         let avatars: Vec<ObjectId> = (0..wanted).map(|_| self.spawn_avatar(id, present)).collect();
+        // The newcomer learns of everything but its own, everybody else of the newcomer's avatars.
+        let others: Vec<ObjectId> = match role {
+            Role::Avatar => (0..self.objects.len() as u32)
+                .map(ObjectId)
+                .filter(|id| self.objects[id.index()].alive && !avatars.contains(id))
+                .collect(),
+            Role::Actor { .. } => Vec::new(),
+        };
         let welcome = Welcome {
             version: VERSION,
             client: ClientId(id.0),
@@ -265,19 +290,13 @@ impl World {
             blur: self.config.blur,
             world: self.info.clone(),
             classes: self.classes.clone(),
+            objects: others.len() as u32,
         };
         self.say(id, &ServerControl::Welcome(Box::new(welcome)));
-        // The newcomer learns of everything but its own, everybody else of the newcomer's avatars.
-        if role == Role::Avatar {
-            let others: Vec<ObjectId> = (0..self.objects.len() as u32)
-                .map(ObjectId)
-                .filter(|id| self.objects[id.index()].alive && !avatars.contains(id))
-                .collect();
-            for piece in others.chunks(ServerControl::ROSTER_MAX) {
-                let message = self.roster(piece, Some(slot));
-                self.stats.out.roster += piece.len() as u64;
-                self.say(id, &message);
-            }
+        for piece in others.chunks(ServerControl::ROSTER_MAX) {
+            let message = self.roster(piece, Some(slot));
+            self.stats.out.roster += piece.len() as u64;
+            self.say(id, &message);
         }
         for piece in avatars.chunks(ServerControl::ROSTER_MAX) {
             // No bounds for the others: the newcomer has just appeared, which nobody could have waited for.

@@ -48,6 +48,8 @@ type Carried = Vec<(ObjectId, WorldTime)>;
 
 pub(super) struct Session {
     pub phase: Phase,
+    /// Whether it was told to go: what it says on the control stream from then on counts for nothing.
+    pub is_refused: bool,
     pub avatars: Vec<ObjectId>,
     pub heard_at: WorldTime,
     pub owes_ack: bool,
@@ -67,6 +69,7 @@ impl Session {
     pub fn new(now: WorldTime) -> Session {
         Session {
             phase: Phase::Greeting,
+            is_refused: false,
             avatars: Vec::new(),
             heard_at: now,
             owes_ack: false,

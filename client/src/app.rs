@@ -1,0 +1,308 @@
+//! The `eyeline-client` command: options, what it prints, and how it ends.
+
+use std::io::Write as _;
+use std::net::{SocketAddr, ToSocketAddrs};
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use clap::{Args, Subcommand};
+use eyeline_visibility::{Aabb, DynamicOctree};
+
+use crate::net::{Endpoint, Fingerprint, LocalClock, ModelSource, Onlooker, run_headless};
+use crate::session::{Session, SessionConfig, SessionStats};
+use crate::tracking::TrackerConfig;
+
+/// What the client can do.
+#[derive(Subcommand)]
+pub enum Command {
+    /// Join a world without a window: stand, turn, track, and print a line a second
+    #[command(after_long_help = HEADLESS_EXAMPLES)]
+    Headless(Headless),
+}
+
+/// Which server.
+#[derive(Args, Clone, Debug)]
+pub struct Target {
+    /// Address of the server, HOST:PORT
+    #[arg(long, value_name = "HOST:PORT", required_unless_present = "server_file", requires = "fingerprint")]
+    pub connect: Option<String>,
+
+    /// SHA-256 of the server's certificate, 64 hexadecimal digits: the server prints it when it starts
+    #[arg(long, value_name = "HEX", requires = "connect")]
+    pub fingerprint: Option<Fingerprint>,
+
+    /// Instead of both, the file that the server wrote with --ready-file; waited for up to 30 s
+    #[arg(long, value_name = "FILE", conflicts_with = "connect")]
+    pub server_file: Option<PathBuf>,
+}
+
+/// How long a server's file is waited for, and how often it is looked for.
+const SERVER_FILE_WAIT: Duration = Duration::from_secs(30);
+const SERVER_FILE_LOOK: Duration = Duration::from_millis(20);
+
+impl Target {
+    /// The server's address and fingerprint; waits for the server's file.
+    ///
+    /// # Errors
+    /// Names the value or the file, and the remedy.
+    pub fn resolve(&self) -> anyhow::Result<(SocketAddr, Fingerprint)> {
+        match (&self.connect, self.fingerprint, &self.server_file) {
+            (Some(address), Some(fingerprint), _) => Ok((resolve(address)?, fingerprint)),
+            (_, _, Some(path)) => {
+                let text = wait_for(path)?;
+                let mut lines = text.lines();
+                let (Some(address), Some(fingerprint)) = (lines.next(), lines.next()) else {
+                    anyhow::bail!("{}: not a server's file: needs an address and a fingerprint", path.display());
+                };
+                let name = || path.display().to_string();
+                Ok((resolve(address).with_context(name)?, fingerprint.parse::<Fingerprint>().with_context(name)?))
+            }
+            _ => anyhow::bail!("which server? give --connect and --fingerprint, or --server-file"),
+        }
+    }
+}
+
+fn resolve(address: &str) -> anyhow::Result<SocketAddr> {
+    let mut found = address
+        .to_socket_addrs()
+        .with_context(|| format!("'{address}' is no address; give HOST:PORT, for instance 127.0.0.1:4433"))?;
+    found.next().with_context(|| format!("'{address}' has no address"))
+}
+
+fn wait_for(path: &Path) -> anyhow::Result<String> {
+    let waiting = now();
+    loop {
+        match std::fs::read_to_string(path) {
+            Ok(text) => return Ok(text),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound && waiting.elapsed() < SERVER_FILE_WAIT => {
+                std::thread::sleep(SERVER_FILE_LOOK);
+            }
+            Err(error) => {
+                let path = path.display();
+                return Err(error)
+                    .with_context(|| format!("no server has written {path}; start one with --ready-file"));
+            }
+        }
+    }
+}
+
+/// Where the model comes from.
+#[derive(Args, Clone, Debug)]
+pub struct WorldOptions {
+    /// The model, if it is here; must be the one that the server serves [default: fetched from the server]
+    #[arg(long, value_name = "FILE")]
+    pub world: Option<PathBuf>,
+
+    /// Folder for fetched models, by their hash [default: eyeline in the user's cache folder]
+    #[arg(long, value_name = "DIR", conflicts_with = "world")]
+    pub cache: Option<PathBuf>,
+}
+
+impl WorldOptions {
+    /// The source that the options mean.
+    pub fn source(&self) -> ModelSource {
+        if let Some(file) = &self.world {
+            return ModelSource::File(file.clone());
+        }
+        let folder = |name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+        let usual = || folder("XDG_CACHE_HOME").or_else(|| folder("HOME").map(|home| home.join(".cache")));
+        match self.cache.clone().or_else(|| usual().map(|cache| cache.join("eyeline"))) {
+            Some(folder) => ModelSource::Cache(folder),
+            None => ModelSource::Fetch,
+        }
+    }
+}
+
+/// Options of `headless`.
+#[derive(Args, Clone, Debug)]
+pub struct Headless {
+    #[command(flatten)]
+    target: Target,
+
+    #[command(flatten)]
+    world: WorldOptions,
+
+    /// How long to stay, seconds [default: until Ctrl-C]
+    #[arg(long, value_name = "SECONDS", value_parser = number(0.1..=1e6, "s"))]
+    seconds: Option<f64>,
+
+    /// Frames a second, Hz
+    #[arg(long, value_name = "HZ", default_value_t = 20.0, value_parser = number(0.1..=240.0, "Hz"))]
+    frame_hz: f64,
+
+    /// Pixels a side of the six images that decide what is hidden; more hides more and costs time
+    #[arg(long, value_name = "PIXELS", default_value_t = 128, value_parser = clap::value_parser!(u32).range(8..=1024))]
+    side: u32,
+
+    /// A name for people
+    #[arg(long, default_value = "headless")]
+    name: String,
+}
+
+const HEADLESS_EXAMPLES: &str = "Examples:
+  eyeline-client headless --connect 127.0.0.1:4433 --fingerprint 11c4…d6b9 --seconds 10
+  eyeline-client headless --connect example.org:4433 --fingerprint 11c4…d6b9 --cache /tmp/models
+  eyeline-client headless --server-file ready.txt --world rooms.glb --frame-hz 10";
+
+/// Runs `headless`.
+///
+/// # Errors
+/// If there is no such server, it does not let us in, its world can't be had, or the connection is lost.
+pub fn headless(options: &Headless) -> anyhow::Result<()> {
+    let (address, fingerprint) = options.target.resolve()?;
+    let period = Duration::from_secs_f64(1.0 / options.frame_hz);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let shutdown = shutdown_signal()?;
+        let endpoint = Endpoint::new(fingerprint, address)?;
+        let config = SessionConfig::default()
+            .with_name(options.name.clone())
+            .with_tracker(TrackerConfig::default().with_frame(period));
+        // How large the world is will be known later.
+        let session = Session::new(config, Box::new(|| Box::new(DynamicOctree::new(Aabb::EMPTY))));
+        let mut connection = endpoint.connect(address, session, LocalClock::default()).await?;
+        let scene = connection.scene(&options.world.source()).await?;
+        let welcome = connection.session.welcome().context("no welcome")?;
+        print(&format!(
+            "{} at {address}: policy {}, {} triangles, {} objects, tick {} ms\n",
+            welcome.world.name,
+            welcome.policy,
+            scene.triangles().len(),
+            welcome.objects,
+            f64::from(welcome.tick_micros) / 1e3,
+        ));
+        let mut second = Second::default();
+        let on_frame = Box::new(|session: &mut Session, report: &crate::net::FrameReport| {
+            second.add(report.cull + report.track);
+            // A frame count, not a clock: a line stands for a second's frames.
+            if second.frames >= options.frame_hz.ceil() as u32 {
+                print(&second.line(session));
+            }
+        });
+        let mut onlooker =
+            Onlooker::new(&scene, welcome, options.side, on_frame).context("the server gave us no avatar")?;
+        let end = async {
+            match options.seconds {
+                Some(seconds) => tokio::time::sleep(Duration::from_secs_f64(seconds)).await,
+                None => std::future::pending().await,
+            }
+        };
+        let end = async {
+            tokio::select! {
+                () = end => {}
+                () = shutdown => {}
+            }
+        };
+        let first = connection.clock().now();
+        let ran = run_headless(&mut connection, &mut onlooker, period, first, end).await;
+        let stats = *connection.session.stats();
+        let (sent, sent_bytes, received, received_bytes) = connection.udp();
+        let (frames, skipped) = ran.as_ref().map_or((0, 0), |summary| (summary.frames, summary.skipped));
+        let rtt = connection.session.round_trip().map_or("unknown".to_owned(), |(rtt, _)| format!("{rtt:.1?}"));
+        print(&format!(
+            "{frames} frames, {skipped} skipped; {} messages in, {} out; UDP {received} datagrams and \
+             {received_bytes} bytes in, {sent} and {sent_bytes} out; round trip {rtt}; {} datagrams refused\n",
+            stats.records_in, stats.records_out, stats.rejected,
+        ));
+        connection.close().await;
+        endpoint.wait_idle().await;
+        Ok(ran.map(drop)?)
+    })
+}
+
+/// What is collected for one line of output.
+#[derive(Default)]
+struct Second {
+    number: u32,
+    frames: u32,
+    work: Duration,
+    /// The session's counters at the last line.
+    before: SessionStats,
+}
+
+impl Second {
+    fn add(&mut self, work: Duration) {
+        self.frames += 1;
+        self.work += work;
+    }
+
+    fn line(&mut self, session: &Session) -> String {
+        self.number += 1;
+        let (visible, hidden, asked) = session.tracker().map_or((0, 0, 0), |tracker| tracker.counts());
+        let stats = *session.stats();
+        let line = format!(
+            "{:>4} s  {visible} visible, {hidden} hidden, {asked} asked for; {} messages in, {} out; {:.2} ms a frame\n",
+            self.number,
+            stats.records_in - self.before.records_in,
+            stats.records_out - self.before.records_out,
+            self.work.as_secs_f64() * 1e3 / f64::from(self.frames.max(1)),
+        );
+        *self = Second { number: self.number, before: stats, ..Second::default() };
+        line
+    }
+}
+
+/// A number on the command line, held to a range.
+pub fn number(
+    range: RangeInclusive<f64>,
+    unit: &'static str,
+) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text| match text.parse::<f64>() {
+        Ok(value) if range.contains(&value) => Ok(value),
+        _ => Err(format!("give a number from {} to {} {unit}", range.start(), range.end())),
+    }
+}
+
+/// Writes to standard output at once. Who has closed it does not want to read, which is no reason to end.
+fn print(text: &str) {
+    let mut out = std::io::stdout().lock();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}
+
+/// Ready when the process is asked to end: Ctrl-C, or SIGTERM where there is such a thing. Listens from the call on.
+fn shutdown_signal() -> anyhow::Result<impl Future<Output = ()>> {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
+        let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
+        Ok(async move {
+            tokio::select! {
+                _ = interrupt.recv() => {}
+                _ = terminate.recv() => {}
+            }
+        })
+    }
+    #[cfg(not(unix))]
+    Ok(async {
+        let _ = tokio::signal::ctrl_c().await;
+    })
+}
+
+/// An error and its causes in one line. Some name their cause themselves, which is then not said again.
+pub fn one_line(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain() {
+        let cause = cause.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text
+}
+
+/// Logs to standard error what `RUST_LOG` asks for; without it, warnings, and what Eyeline itself has to tell.
+pub fn init_logs() {
+    use tracing_subscriber::EnvFilter;
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn,eyeline_client=info".into());
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+}
+
+#[expect(clippy::disallowed_methods, reason = "a driver: it waits for a file")]
+fn now() -> Instant {
+    Instant::now()
+}

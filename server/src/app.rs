@@ -1,0 +1,284 @@
+//! The `eyeline-server` command: options, what it prints, and how it ends. `eyeline-sim serve` is the same.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::Context;
+use bytes::Bytes;
+use clap::Args;
+use clap::builder::PossibleValuesParser;
+use eyeline_protocol::WorldTime;
+
+use crate::model::{Model, POLICIES};
+use crate::net::{Handle, Identity, Server, WorldClock};
+use crate::world::WorldConfig;
+
+/// Everything about serving but the world itself.
+#[derive(Args, Clone, Debug)]
+pub struct ServeOptions {
+    /// Whom a client is told about: `visible` (only what it could see: it holds bounds and asks), `broadcast`
+    /// (everything), `oracle` (exactly what it sees; the server culls, so it costs much CPU)
+    #[arg(long, default_value = "visible", value_parser = PossibleValuesParser::new(POLICIES), hide_possible_values = true)]
+    pub policy: String,
+
+    /// UDP address and port to listen on; port 0 lets the system choose
+    #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:4433")]
+    pub listen: SocketAddr,
+
+    /// Folder of the certificate and its key; both are made there on the first run
+    #[arg(long, value_name = "DIR", default_value = "eyeline-identity")]
+    pub identity: PathBuf,
+
+    /// Commits of the world's state a second, Hz
+    #[arg(long, value_name = "HZ", default_value_t = 20.0, value_parser = number(0.1..=1000.0, "Hz"))]
+    pub tick_hz: f64,
+
+    /// Least radius within which a hidden object's place is kept uncertain, metres; more hides more and costs messages
+    #[arg(long, value_name = "METRES", default_value_t = 1.0, value_parser = number(0.0..=1000.0, "m"))]
+    pub blur: f64,
+
+    /// Seed of the secret grid that hides places; only for tests, since who knows it knows more [default: random]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+
+    /// Most avatars in the world at once
+    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub max_avatars: u32,
+
+    /// Greatest speed of an avatar, m/s; faster ones are held back [default: the world file's, else 2]
+    #[arg(long, value_name = "M/S", value_parser = number(0.0..=1e6, "m/s"))]
+    pub avatar_speed: Option<f64>,
+
+    /// Once listening, write the address and the fingerprint into this file, a line each, for scripts and
+    /// `--server-file`; it is removed at the end
+    #[arg(long, value_name = "FILE")]
+    pub ready_file: Option<PathBuf>,
+}
+
+/// A number on the command line, held to a range.
+pub fn number(
+    range: RangeInclusive<f64>,
+    unit: &'static str,
+) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text| match text.parse::<f64>() {
+        Ok(value) if range.contains(&value) => Ok(value),
+        _ => Err(format!("give a number from {} to {} {unit}", range.start(), range.end())),
+    }
+}
+
+/// Serves `model` until Ctrl-C or SIGTERM. `notes` are what a reader should know about how it was loaded.
+///
+/// # Errors
+/// If the world contradicts itself, the identity can't be used, or the address can't be listened on.
+pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyhow::Result<()> {
+    if let Some(speed) = options.avatar_speed {
+        model.spec.avatar.speed_max = speed;
+    }
+    let grid_seed = match options.seed {
+        Some(seed) => seed,
+        None => random()?,
+    };
+    let config = WorldConfig::default()
+        .with_tick(Duration::from_secs_f64(1.0 / options.tick_hz))
+        .with_blur(options.blur)
+        .with_grid_seed(grid_seed)
+        .with_avatars_max(options.max_avatars as usize);
+    let clock = WorldClock::starting_at(unix_time());
+    let world = model.world(config, &options.policy, clock.now())?;
+    let identity = Identity::load_or_create(&options.identity)?;
+    let fingerprint = identity.fingerprint_hex();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let summary = runtime.block_on(async {
+        let shutdown = shutdown_signal()?;
+        let bytes = Bytes::from_owner(model.bytes.clone());
+        let server = Server::bind(options.listen, identity, world, bytes, clock, None)?;
+        let address = server.local_addr()?;
+        let mut text = describe(options, &model, notes);
+        let _ = writeln!(text, "listening    {address} (QUIC over UDP); Ctrl-C ends it");
+        let _ = writeln!(text, "fingerprint  {fingerprint}");
+        print(&text);
+        let _ready =
+            options.ready_file.as_deref().map(|path| ReadyFile::write(path, address, &fingerprint)).transpose()?;
+        let handle = server.handle();
+        server.run(shutdown).await;
+        anyhow::Ok(summary(&handle))
+    })?;
+    print(&summary);
+    Ok(())
+}
+
+/// What is served, and how: the lines that a server begins with.
+fn describe(options: &ServeOptions, model: &Model, notes: &[String]) -> String {
+    let spec = &model.spec;
+    let hash: String = model.info.hash.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+    let moving = spec.objects.iter().filter(|object| object.path.is_some()).count();
+    let mut text = String::new();
+    let _ = writeln!(text, "world        {} ({} bytes, SHA-256 {hash}…)", model.info.name, model.info.size_bytes);
+    let _ = writeln!(text, "triangles    {} static", model.scene.triangles().len());
+    let _ = writeln!(text, "objects      {}, of which {moving} have a path", spec.objects.len());
+    let (spawns, speed) = (spec.spawns.len(), spec.avatar.speed_max);
+    let _ = writeln!(text, "avatars      at most {}, {speed} m/s, {spawns} spawn points", options.max_avatars);
+    for note in notes {
+        let _ = writeln!(text, "note         {note}");
+    }
+    let how = match options.policy.as_str() {
+        "visible" => "clients hold bounds of what is hidden, and ask for what is exposed",
+        "broadcast" => "every client is told everything",
+        _ => "the server culls, and tells each client exactly what it sees",
+    };
+    let tick_ms = 1e3 / options.tick_hz;
+    let _ = writeln!(text, "plan         {}: {how}; tick {tick_ms} ms, blur {} m", options.policy, options.blur);
+    text
+}
+
+/// What happened: the line that a server ends with.
+fn summary(handle: &Handle) -> String {
+    let stats = handle.with_world(|world| *world.stats());
+    let shell = handle.stats();
+    format!(
+        "ended        {} clients admitted, {} refused; rejected {} control messages, {} datagrams; {} messages in, \
+         {} out; {} poses held back; {} ticks, {} missed; {} slow readers\n",
+        stats.admitted,
+        stats.refused,
+        stats.rejected_control,
+        stats.rejected_datagrams,
+        stats.messages_in.total(),
+        stats.out.total(),
+        stats.poses_clamped,
+        stats.ticks,
+        stats.ticks_missed,
+        shell.slow_readers,
+    )
+}
+
+/// Writes to standard output at once. Who has closed it does not want to read, which is no reason to end.
+fn print(text: &str) {
+    let mut out = std::io::stdout().lock();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}
+
+/// A file that is there while the server listens.
+struct ReadyFile<'a> {
+    path: &'a Path,
+}
+
+impl ReadyFile<'_> {
+    /// Written beside and renamed, so that nobody reads half of it. An address that means "all" is written as the
+    /// loopback address, since one can't connect to "all".
+    fn write<'a>(path: &'a Path, mut address: SocketAddr, fingerprint: &str) -> anyhow::Result<ReadyFile<'a>> {
+        match address.ip() {
+            IpAddr::V4(ip) if ip.is_unspecified() => address.set_ip(Ipv4Addr::LOCALHOST.into()),
+            IpAddr::V6(ip) if ip.is_unspecified() => address.set_ip(Ipv6Addr::LOCALHOST.into()),
+            _ => {}
+        }
+        let mut new = path.as_os_str().to_owned();
+        new.push(".new");
+        std::fs::write(&new, format!("{address}\n{fingerprint}\n"))
+            .and_then(|()| std::fs::rename(&new, path))
+            .with_context(|| format!("cannot write the ready file {}", path.display()))?;
+        Ok(ReadyFile { path })
+    }
+}
+
+impl Drop for ReadyFile<'_> {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(self.path);
+    }
+}
+
+/// Ready when the process is asked to end: Ctrl-C, or SIGTERM where there is such a thing. Listens from the call on.
+///
+/// # Errors
+/// If the system does not let us listen for signals.
+pub fn shutdown_signal() -> anyhow::Result<impl Future<Output = ()>> {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
+        let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
+        Ok(async move {
+            tokio::select! {
+                _ = interrupt.recv() => {}
+                _ = terminate.recv() => {}
+            }
+        })
+    }
+    #[cfg(not(unix))]
+    Ok(async {
+        let _ = tokio::signal::ctrl_c().await;
+    })
+}
+
+/// An error and its causes in one line. Some name their cause themselves, which is then not said again.
+pub fn one_line(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain() {
+        let cause = cause.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text
+}
+
+/// Logs to standard error what `RUST_LOG` asks for; without it, warnings, and what Eyeline itself has to tell.
+pub fn init_logs() {
+    use tracing_subscriber::EnvFilter;
+    let default = || "warn,eyeline_server=info,eyeline_client=info,eyeline_sim=info".into();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| default());
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+}
+
+/// Chance from the system.
+fn random() -> anyhow::Result<u64> {
+    use ring::rand::SecureRandom;
+    let mut bytes = [0; 8];
+    let filled = ring::rand::SystemRandom::new().fill(&mut bytes);
+    filled.map_err(|_| anyhow::anyhow!("the system gives no random numbers; name a seed with --seed"))?;
+    Ok(u64::from_le_bytes(bytes))
+}
+
+/// World time is the calendar's, so that it goes on after a restart.
+#[expect(clippy::disallowed_methods, reason = "a driver: it sets the world's clock")]
+fn unix_time() -> WorldTime {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+    WorldTime::ZERO + since
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_held_to_their_range() {
+        let hz = number(0.1..=1000.0, "Hz");
+        assert_eq!(hz("20"), Ok(20.0));
+        for bad in ["", "0", "-1", "nan", "inf", "1001", "20Hz"] {
+            assert_eq!(hz(bad).unwrap_err(), "give a number from 0.1 to 1000 Hz", "{bad}");
+        }
+    }
+
+    #[test]
+    fn an_error_is_one_line_and_says_nothing_twice() {
+        let inner = anyhow::anyhow!("line 1\n  | \nno such key");
+        assert_eq!(
+            one_line(&inner.context("a.toml").context("loading a.toml")),
+            "loading a.toml: line 1 | no such key"
+        );
+    }
+
+    #[test]
+    fn a_ready_file_is_there_while_it_is_held() {
+        let path = std::env::temp_dir().join(format!("eyeline-ready-{}", std::process::id()));
+        let ready = ReadyFile::write(&path, "0.0.0.0:77".parse().unwrap(), "abcd").unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "127.0.0.1:77\nabcd\n");
+        drop(ready);
+        assert!(!path.exists());
+    }
+}

@@ -1,0 +1,50 @@
+//! What can be done from the command line: one file a verb, each with its options and what it prints.
+
+mod replay;
+mod scene;
+mod serve;
+mod swarm;
+
+use std::io::Write as _;
+use std::path::Path;
+
+use clap::Subcommand;
+
+/// A verb and its options.
+#[derive(Subcommand)]
+pub enum Verb {
+    /// Make a scene: a .glb with its world file
+    #[command(subcommand, after_long_help = scene::EXAMPLES)]
+    Scene(scene::Scene),
+    /// Serve a world: `eyeline-server`, which also makes its world if told to
+    #[command(after_long_help = serve::EXAMPLES)]
+    Serve(serve::Serve),
+    /// Fill a server with people: many headless clients in one process
+    #[command(after_long_help = swarm::EXAMPLES)]
+    Swarm(swarm::Swarm),
+    /// Fill a server with people who really walked: a recorded crowd behind one connection
+    #[command(after_long_help = replay::EXAMPLES)]
+    Replay(replay::Replay),
+}
+
+/// Runs a verb.
+pub fn run(verb: &Verb) -> anyhow::Result<()> {
+    match verb {
+        Verb::Scene(options) => scene::run(options),
+        Verb::Serve(options) => serve::run(options),
+        Verb::Swarm(options) => swarm::run(options),
+        Verb::Replay(options) => replay::run(options),
+    }
+}
+
+/// What is done without a verb.
+pub fn demo() -> anyhow::Result<()> {
+    print(&eyeline_sim::demo::run(Path::new("out/demo"))?);
+    Ok(())
+}
+
+/// Writes to standard output at once. Who has closed it does not want to read, which is no reason to end.
+fn print(text: &str) {
+    let mut out = std::io::stdout().lock();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}

@@ -1,0 +1,99 @@
+//! `scene`: makes a world and writes it.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use eyeline_sim::scene::plan::RoomsRules;
+use eyeline_sim::scene::rooms;
+
+/// The makers.
+#[derive(Subcommand)]
+pub enum Scene {
+    /// A building of rooms joined by doors, with a table and four chairs in each
+    Rooms(Rooms),
+}
+
+/// Rules of `rooms`. The maker checks them, and names what is wrong.
+#[derive(Args)]
+pub struct Rooms {
+    /// Rooms along +X
+    #[arg(long, value_name = "N", default_value_t = RoomsRules::default().columns)]
+    columns: u32,
+
+    /// Rooms along +Z
+    #[arg(long, value_name = "N", default_value_t = RoomsRules::default().rows)]
+    rows: u32,
+
+    /// Side of a room from wall to wall, middle to middle, metres
+    #[arg(long, value_name = "METRES", default_value_t = RoomsRules::default().room)]
+    room: f64,
+
+    /// From the floor to the ceiling, metres
+    #[arg(long, value_name = "METRES", default_value_t = RoomsRules::default().height)]
+    height: f64,
+
+    /// Thickness of a wall, metres
+    #[arg(long, value_name = "METRES", default_value_t = RoomsRules::default().wall)]
+    wall: f64,
+
+    /// Width of a door, metres
+    #[arg(long, value_name = "METRES", default_value_t = RoomsRules::default().door_width)]
+    door_width: f64,
+
+    /// Height of a door, metres
+    #[arg(long, value_name = "METRES", default_value_t = RoomsRules::default().door_height)]
+    door_height: f64,
+
+    /// Leave out tables and chairs
+    #[arg(long)]
+    bare: bool,
+
+    /// Share of the chairs that move to and from their table, 0 to 1
+    #[arg(long, value_name = "SHARE", default_value_t = RoomsRules::default().moving_share)]
+    moving_share: f64,
+
+    /// Decides doors, furniture, paths and spawn points; the same seed gives the same bytes
+    #[arg(long, value_name = "N", default_value_t = RoomsRules::default().seed)]
+    seed: u64,
+
+    /// Where to write the model; NAME.world.toml and NAME.rooms.json are written beside it
+    #[arg(long, value_name = "FILE.glb")]
+    out: PathBuf,
+}
+
+pub const EXAMPLES: &str = "Examples:
+  eyeline-sim scene rooms --out out/rooms.glb
+  eyeline-sim scene rooms --columns 3 --rows 3 --seed 8 --moving-share 1 --out out/small.glb
+  eyeline-sim scene rooms --columns 40 --rows 40 --bare --door-width 0.9 --out out/maze.glb";
+
+/// Makes and writes a scene.
+pub fn run(scene: &Scene) -> anyhow::Result<()> {
+    let Scene::Rooms(options) = scene;
+    if options.out.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("glb")) {
+        anyhow::bail!("--out {}: the name of a model ends in .glb", options.out.display());
+    }
+    let made = rooms::make(&RoomsRules {
+        columns: options.columns,
+        rows: options.rows,
+        room: options.room,
+        height: options.height,
+        wall: options.wall,
+        door_width: options.door_width,
+        door_height: options.door_height,
+        furnished: !options.bare,
+        moving_share: options.moving_share,
+        seed: options.seed,
+    })?;
+    made.write(&options.out)?;
+    super::print(&format!(
+        "{}: {} rooms, {} triangles, {} bytes; {} objects, {} spawn points in {}\n",
+        options.out.display(),
+        made.plan.rooms.len(),
+        made.triangles,
+        made.glb.len(),
+        made.world.objects.len(),
+        made.world.spawns.len(),
+        options.out.with_extension("world.toml").display(),
+    ));
+    Ok(())
+}

@@ -1,0 +1,293 @@
+//! `swarm`: many people in one process, each with a client of their own, all on one socket.
+
+// This is a driver: it may read the clock.
+#![expect(clippy::disallowed_methods)]
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use clap::Args;
+use eyeline_client::app::{Target, WorldOptions, number};
+use eyeline_client::net::{Connection, Endpoint, FrameReport, LocalClock, Summary, run_headless};
+use eyeline_client::session::{Session, SessionConfig, SessionStats};
+use eyeline_client::tracking::{Sabotage, TrackerConfig};
+use eyeline_protocol::Welcome;
+use eyeline_server::app::shutdown_signal;
+use eyeline_server::spec::AvatarSpec;
+use eyeline_sim::motion::WalkerPose;
+use eyeline_sim::people::{Ground, Person};
+use eyeline_sim::report::{Column, Progress, Row, table};
+use eyeline_sim::scene::plan::RoomPlan;
+use eyeline_visibility::{Aabb, AllRound, DynamicOctree};
+use glam::DVec3;
+use serde::Serialize;
+use tokio::sync::watch;
+use tokio::task::{JoinSet, LocalSet};
+
+/// Options of `swarm`.
+#[derive(Args)]
+pub struct Swarm {
+    #[command(flatten)]
+    target: Target,
+
+    #[command(flatten)]
+    world: WorldOptions,
+
+    /// How many people, each with a client of their own. With --world FILE and NAME.rooms.json beside it they walk from
+    /// room to room; else they stand and look around
+    #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    clients: u32,
+
+    /// How long to stay once all are in, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 20.0, value_parser = number(0.1..=1e6, "s"))]
+    seconds: f64,
+
+    /// Decides who walks and looks where
+    #[arg(long, value_name = "N", default_value_t = 7)]
+    seed: u64,
+
+    /// Pixels a side of the six images that decide what is hidden; more hides more and costs time
+    #[arg(long, value_name = "PIXELS", default_value_t = 128, value_parser = clap::value_parser!(u32).range(8..=1024))]
+    side: u32,
+
+    /// Frames a second of each client, Hz
+    #[arg(long, value_name = "HZ", default_value_t = 20.0, value_parser = number(0.1..=240.0, "Hz"))]
+    frame_hz: f64,
+
+    /// Break the tracker on purpose: drop-exposures, late-one-tick or freeze-clock
+    #[arg(long, value_name = "HOW")]
+    sabotage: Option<Sabotage>,
+}
+
+pub const EXAMPLES: &str = "Examples:
+  eyeline-sim swarm --server-file out/ready.txt --world out/rooms.glb
+  eyeline-sim swarm --connect 127.0.0.1:4433 --fingerprint 11c4…d6b9 --clients 100 --seconds 60
+  eyeline-sim swarm --server-file out/ready.txt --clients 4 --side 256 --sabotage drop-exposures";
+
+/// A run whose frames came later than this in one of a hundred cases measured the machine, not the clients.
+const LATE_MAX: Duration = Duration::from_millis(5);
+
+/// What the clients' frames add up to.
+#[derive(Default)]
+struct Frames {
+    late: Vec<Duration>,
+    cull: Duration,
+    track: Duration,
+}
+
+/// What became of one client.
+struct Outcome {
+    summary: Summary,
+    stats: SessionStats,
+    round_trip: Option<Duration>,
+    /// Visible, hidden and asked for at the end.
+    counts: (usize, usize, usize),
+}
+
+/// The summary's one row.
+#[derive(Serialize)]
+struct SwarmRow {
+    clients: usize,
+    seconds: f64,
+    frames: u64,
+    skipped: u64,
+    late_p50_ms: f64,
+    late_p99_ms: f64,
+    client_frame_ms: f64,
+    cull_ms: f64,
+    messages_in_per_client_s: f64,
+    messages_out_per_client_s: f64,
+    visible_mean: f64,
+    hidden_mean: f64,
+    rtt_ms: Option<f64>,
+}
+
+fn columns() -> Vec<Column> {
+    vec![
+        Column::new("clients", "", "clients that ran to the end"),
+        Column::new("seconds", "s", "for which they ran"),
+        Column::new("frames", "", "frames of all clients"),
+        Column::new("skipped", "", "frames left out because the process came late"),
+        Column::new("late_p50_ms", "ms", "how late a frame began, median"),
+        Column::new("late_p99_ms", "ms", "how late a frame began, one of a hundred was later"),
+        Column::new("client_frame_ms", "ms", "culling and tracking of a frame, mean"),
+        Column::new("cull_ms", "ms", "of that, culling"),
+        Column::new("messages_in_per_client_s", "1/s", "records received"),
+        Column::new("messages_out_per_client_s", "1/s", "records sent, poses included"),
+        Column::new("visible_mean", "", "objects in V at the end, mean"),
+        Column::new("hidden_mean", "", "objects known only by a bound at the end, mean"),
+        Column::new("rtt_ms", "ms", "round trip, mean"),
+    ]
+}
+
+/// Runs a swarm.
+pub fn run(options: &Swarm) -> anyhow::Result<()> {
+    let plan = match &options.world.world {
+        Some(path) => RoomPlan::beside(path)?.map(Arc::new),
+        None => None,
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(LocalSet::new().run_until(all(options, plan)))
+}
+
+async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()> {
+    let shutdown = shutdown_signal()?;
+    tokio::pin!(shutdown);
+    let (address, fingerprint) = options.target.resolve()?;
+    let period = Duration::from_secs_f64(1.0 / options.frame_hz);
+    let endpoint = Endpoint::new(fingerprint, address)?;
+    let clock = LocalClock::default();
+    let session = |number: u32, bounds: Aabb| {
+        let tracker = TrackerConfig::default().with_frame(period).with_sabotage(options.sabotage);
+        let config = SessionConfig::default().with_name(format!("swarm {number}")).with_tracker(tracker);
+        Session::new(config, Box::new(move || Box::new(DynamicOctree::new(bounds))))
+    };
+
+    // The first client fetches the scene for all.
+    let mut first = endpoint.connect(address, session(0, Aabb::EMPTY), clock).await?;
+    let scene = first.scene(&options.world.source()).await?;
+    let welcome = first.session.welcome().context("no welcome")?.clone();
+    let bounds = scene.bounds();
+    let all_round = tokio::task::spawn_blocking(move || AllRound::new(&scene)).await?;
+    let ground = ground(&welcome, plan, all_round);
+    let how = if ground.plan.is_some() { "walk from room to room" } else { "stand and look around" };
+    super::print(&format!(
+        "{} at {address}: policy {}, {} objects; {} people {how}\n",
+        welcome.world.name, welcome.policy, welcome.objects, options.clients
+    ));
+    let mut connections = vec![first];
+    for number in 1..options.clients {
+        tokio::select! {
+            connection = endpoint.connect(address, session(number, bounds), clock) => {
+                connections.push(connection.with_context(|| format!("client {number}"))?);
+            }
+            () = &mut shutdown => anyhow::bail!("ended before all clients were in"),
+        }
+    }
+
+    let frames = Arc::new(Mutex::new(Frames::default()));
+    let (stop, stopped) = watch::channel(false);
+    let mut clients = JoinSet::new();
+    let begin = clock.now() + Duration::from_millis(50);
+    let began = Instant::now();
+    for (number, connection) in connections.into_iter().enumerate() {
+        // Frames of different clients are spread evenly, so that none waits for another.
+        let due = begin + period.mul_f64(number as f64 / f64::from(options.clients));
+        let (frames, mut stopped) = (frames.clone(), stopped.clone());
+        let hook = move |_: &mut Session, report: &FrameReport, _: &WalkerPose| {
+            let mut frames = frames.lock().unwrap_or_else(PoisonError::into_inner);
+            frames.late.push(report.late);
+            frames.cull += report.cull;
+            frames.track += report.track;
+        };
+        let mut person = Person::on(&ground, options.seed, number, options.side, Some(Box::new(hook)));
+        clients.spawn_local(async move {
+            let mut connection: Connection = connection;
+            let end = async {
+                // The sender outlives every client.
+                let _ = stopped.wait_for(|&stop| stop).await;
+            };
+            let ran = run_headless(&mut connection, &mut person, period, due, end).await;
+            let ran = ran.with_context(|| format!("client {number}"));
+            let outcome = ran.map(|summary| Outcome {
+                summary,
+                stats: *connection.session.stats(),
+                round_trip: connection.session.round_trip().map(|(smoothed, _)| smoothed),
+                counts: connection.session.tracker().map_or((0, 0, 0), |tracker| tracker.counts()),
+            });
+            connection.close().await;
+            outcome
+        });
+    }
+
+    let end = Duration::from_secs_f64(options.seconds);
+    let mut to_come = options.seconds.ceil() as u64;
+    let progress = Progress::new(to_come, "seconds");
+    let mut outcomes = Vec::new();
+    let mut failed: Option<anyhow::Error> = None;
+    let mut seconds = tokio::time::interval(Duration::from_secs(1));
+    seconds.tick().await;
+    let over = tokio::time::sleep(end);
+    tokio::pin!(over);
+    loop {
+        tokio::select! {
+            () = &mut over => {
+                progress.inc(to_come);
+                break;
+            }
+            () = &mut shutdown => break,
+            _ = seconds.tick() => {
+                progress.inc(1);
+                to_come = to_come.saturating_sub(1);
+            }
+            // None ends by itself unless something went wrong.
+            Some(outcome) = clients.join_next() => {
+                failed = outcome?.err();
+                break;
+            }
+        }
+    }
+    let elapsed = began.elapsed().as_secs_f64();
+    progress.finish();
+    let _ = stop.send(true);
+    while let Some(outcome) = clients.join_next().await {
+        match outcome? {
+            Ok(outcome) => outcomes.push(outcome),
+            Err(error) => failed = failed.or(Some(error)),
+        }
+    }
+    endpoint.wait_idle().await;
+    let frames = std::mem::take(&mut *frames.lock().unwrap_or_else(PoisonError::into_inner));
+    super::print(&summary(&outcomes, frames, elapsed)?);
+    failed.map_or(Ok(()), Err)
+}
+
+/// What people must know, from what the server says of avatars.
+fn ground(welcome: &Welcome, plan: Option<Arc<RoomPlan>>, all_round: AllRound) -> Ground {
+    let avatar = welcome.classes.first().map_or_else(AvatarSpec::default, |class| AvatarSpec {
+        radius: class.extent.radius,
+        height: class.extent.top,
+        eye_height: class.eye_height,
+        speed_max: class.motion.speed_max,
+    });
+    Ground { plan, avatar, anchor: DVec3::from_array(welcome.anchor), all_round: Arc::new(all_round) }
+}
+
+fn summary(outcomes: &[Outcome], mut frames: Frames, seconds: f64) -> anyhow::Result<String> {
+    frames.late.sort_unstable();
+    let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
+    let count = frames.late.len();
+    let late = |share: f64| {
+        let index = ((count as f64 * share).ceil() as usize).clamp(1, count.max(1)) - 1;
+        frames.late.get(index).copied().unwrap_or_default()
+    };
+    let clients = outcomes.len();
+    let sum = |f: &dyn Fn(&Outcome) -> u64| outcomes.iter().map(f).sum::<u64>();
+    let each = |total: u64| total as f64 / clients.max(1) as f64;
+    let rtts: Vec<Duration> = outcomes.iter().filter_map(|outcome| outcome.round_trip).collect();
+    let row = SwarmRow {
+        clients,
+        seconds,
+        frames: sum(&|outcome| outcome.summary.frames),
+        skipped: sum(&|outcome| outcome.summary.skipped),
+        late_p50_ms: ms(late(0.5)),
+        late_p99_ms: ms(late(0.99)),
+        client_frame_ms: ms(frames.cull + frames.track) / count.max(1) as f64,
+        cull_ms: ms(frames.cull) / count.max(1) as f64,
+        messages_in_per_client_s: each(sum(&|outcome| outcome.stats.records_in)) / seconds,
+        messages_out_per_client_s: each(sum(&|outcome| outcome.stats.records_out)) / seconds,
+        visible_mean: each(sum(&|outcome| outcome.counts.0 as u64)),
+        hidden_mean: each(sum(&|outcome| outcome.counts.1 as u64)),
+        rtt_ms: (!rtts.is_empty()).then(|| ms(rtts.iter().sum::<Duration>()) / rtts.len() as f64),
+    };
+    let mut text = table(&[Row::of(&row)?], &columns());
+    if late(0.99) > LATE_MAX {
+        let (is, most) = (ms(late(0.99)), ms(LATE_MAX));
+        text += &format!(
+            "void: one frame of a hundred began {is:.1} ms late or more, above {most} ms: the machine was too busy for \
+             these numbers to mean anything; run fewer clients, or a release build\n"
+        );
+    }
+    Ok(text)
+}
