@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use eyeline_client::session::SessionConfig;
 use eyeline_protocol::Want;
-use eyeline_protocol::{ClientRecord, ObjectId, Position, ServerRecord, codec};
-use eyeline_sim::virtual_net::{ClientPlan, Ignore};
+use eyeline_protocol::{ClientRecord, ObjectId, ServerRecord, codec};
+use eyeline_sim::virtual_net::ClientPlan;
 use eyeline_sim::virtual_net::{Direction, Fate, LinkRules, Passing, Verdict};
 use eyeline_tests::{HIDDEN, IndexView, OPEN, Pair, Standing, Walls};
 use glam::DVec3;
@@ -249,15 +249,18 @@ fn a_state_that_overtakes_the_roster_is_not_forgotten() {
         1 => Verdict::Instead(Fate::Deliver(ms(30))),
         _ => Verdict::AsRuled,
     });
-    let place = Arc::new(Mutex::new(OPEN));
+    let place = Arc::new(Mutex::new(DVec3::ZERO));
     let newcomer = Standing::new(Arc::new(Walls::default()), place);
     let plan = ClientPlan::new(SessionConfig::default(), LinkRules::default());
     let number = pair.run.join(plan, Box::new(newcomer), IndexView::default().maker());
     pair.run_for(ms(20));
     let object = pair.run.clients()[number].avatar().unwrap();
-    pair.run.with_world(&mut Ignore, |world, _| world.teleport(object, pair_position(OPEN)));
+    pair.run_for(ms(200));
+    let knows = |pair: &Pair| pair.session().tracker().unwrap().knows(object);
+    assert!(!knows(&pair) && pair.log.states(object) == 1, "the state has come, the roster has not");
     pair.run_for(ms(3_000));
-    assert_eq!(pair.drawn(object), Some(OPEN));
+    assert_eq!(pair.log.states(object), 1, "nobody tells it again");
+    assert_eq!(pair.drawn(object), Some(DVec3::ZERO));
 }
 
 #[test]
@@ -300,8 +303,4 @@ fn two_round_trips_are_not_tried_in_a_frame_soon_after_a_slow_one() {
         assert_eq!(first, Some(wanted));
         assert_eq!(pair.drawn(object), Some(HIDDEN));
     }
-}
-
-fn pair_position(place: DVec3) -> Position {
-    Position::from_metres(place).unwrap()
 }
