@@ -3,15 +3,19 @@
 //!
 //! bincode is finished and unmaintained (RUSTSEC-2025-0141, allowed by number in `deny.toml`): pinned, and kept to this
 //! one file so that it can be replaced. Whatever arrives can be wrong, huge or hostile: every decoder has a size
-//! limit, reads to the last byte or fails, and allocates no more than a small multiple of its input.
+//! limit, reads to the last byte or fails, and allocates no more than a small multiple of its input (what is claimed
+//! but not there costs nothing). What it then hands out has passed [`Message::check`].
 
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use crate::{
+    ClientControl, ClientHeader, ClientRecord, Interest, Message, Role, ServerControl, ServerHeader, ServerRecord,
+    VERSION,
+};
 
-use crate::{ClientControl, ClientHeader, ClientRecord, ServerControl, ServerHeader, ServerRecord};
+/// Largest control message of either end, in bytes, length prefix apart: holds the greatest legal welcome and roster.
+pub const CONTROL_BYTES_MAX: usize = 256 * 1024;
 
-/// Largest control message, in bytes, length prefix apart.
-pub const CONTROL_BYTES_MAX: usize = 64 * 1024;
+/// Largest control message of a client, in bytes, length prefix apart: all that a server ever buffers for a stranger.
+pub const CLIENT_CONTROL_BYTES_MAX: usize = 2 * 1024;
 
 /// Largest datagram that is looked at, in bytes: the most that QUIC can carry over Ethernet, and some.
 pub const DATAGRAM_BYTES_MAX: usize = 1500;
@@ -40,58 +44,79 @@ pub enum DecodeError {
         limit: usize,
     },
     /// A field is longer than allowed.
-    #[error("field {field} is longer than {limit} bytes")]
+    #[error("field '{field}' is longer than {limit}")]
     Field {
         /// Which.
         field: &'static str,
-        /// Most that is allowed.
+        /// Most bytes or elements that are allowed.
         limit: usize,
+    },
+    /// A field's number is out of range, or none.
+    #[error("field '{field}' is out of range")]
+    Value {
+        /// Which.
+        field: &'static str,
     },
     /// The bytes mean nothing.
     #[error("malformed message: {0}")]
     Malformed(String),
 }
 
-/// Bytes that the decoder may *claim* (vector and string lengths), so that a small message can't ask for a large
-/// allocation. In-memory sizes are at most some ten times the wire's.
+/// Bytes that bincode may *claim*: a second fence. It counts eight for an integer that took one, hence the factor; it
+/// does not count what serde reserves for a list, which is why lists are read by [`crate::untrusted`].
 const CLAIM_MAX: usize = 16 * CONTROL_BYTES_MAX;
 
-fn decode_one<T: DeserializeOwned>(bytes: &[u8]) -> Result<(T, usize), DecodeError> {
+fn decode_one<M: Message>(bytes: &[u8]) -> Result<(M, usize), DecodeError> {
+    let (message, used): (M, usize) = decode_unchecked(bytes)?;
+    message.check()?;
+    Ok((message, used))
+}
+
+fn decode_unchecked<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> Result<(T, usize), DecodeError> {
     use bincode::error::DecodeError as Bincode;
     let config = bincode::config::standard().with_limit::<CLAIM_MAX>();
     bincode::serde::decode_from_slice(bytes, config).map_err(|error| match error {
         Bincode::UnexpectedEnd { .. } => DecodeError::Truncated { bytes: bytes.len() },
         Bincode::LimitExceeded => DecodeError::TooLarge { bytes: bytes.len(), limit: CLAIM_MAX },
+        // A type's own words; bincode shows the rest as they are called in its source.
+        Bincode::OtherString(why) => DecodeError::Malformed(why),
         other => DecodeError::Malformed(other.to_string()),
     })
 }
 
-fn encode_into<T: Serialize>(value: &T, bytes: &mut Vec<u8>) {
+struct Append<'a>(&'a mut Vec<u8>);
+
+impl bincode::enc::write::Writer for Append<'_> {
+    fn write(&mut self, bytes: &[u8]) -> Result<(), bincode::error::EncodeError> {
+        self.0.extend_from_slice(bytes);
+        Ok(())
+    }
+}
+
+fn encode_into<M: Message>(message: &M, bytes: &mut Vec<u8>) {
+    debug_assert!(message.check().is_ok(), "what a peer would refuse: {:?}", message.check());
     let start = bytes.len();
-    let encoded = bincode::serde::encode_to_vec(value, bincode::config::standard());
-    match encoded {
-        Ok(encoded) => bytes.extend_from_slice(&encoded),
+    if let Err(error) = bincode::serde::encode_into_writer(message, Append(bytes), bincode::config::standard()) {
         // Only an id above its maximum can fail, and the world hands out none.
-        Err(error) => {
-            debug_assert!(false, "unencodable message: {error}");
-            bytes.truncate(start);
-        }
+        debug_assert!(false, "unencodable message: {error}");
+        bytes.truncate(start);
     }
 }
 
 /// A control message with its u32 length (little endian) before it.
-pub fn encode_control<T: Serialize>(message: &T) -> Vec<u8> {
+pub fn encode_control<M: Message>(message: &M) -> Vec<u8> {
     let mut bytes = vec![0; 4];
     encode_into(message, &mut bytes);
-    let length = (bytes.len() - 4) as u32;
-    bytes[..4].copy_from_slice(&length.to_le_bytes());
+    let length = bytes.len() - 4;
+    debug_assert!(length <= CONTROL_BYTES_MAX, "a message of {length} bytes, which a peer would refuse");
+    bytes[..4].copy_from_slice(&(length as u32).to_le_bytes());
     bytes
 }
 
 /// A control message from exactly these bytes, without their length prefix.
-fn decode_control<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, DecodeError> {
-    if bytes.len() > CONTROL_BYTES_MAX {
-        return Err(DecodeError::TooLarge { bytes: bytes.len(), limit: CONTROL_BYTES_MAX });
+fn decode_control<M: Message>(bytes: &[u8], limit: usize) -> Result<M, DecodeError> {
+    if bytes.len() > limit {
+        return Err(DecodeError::TooLarge { bytes: bytes.len(), limit });
     }
     let (message, used) = decode_one(bytes)?;
     if used < bytes.len() {
@@ -102,12 +127,28 @@ fn decode_control<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, DecodeError> {
 
 /// What a client said on its control stream.
 ///
+/// Of a hello of another [`VERSION`] only the version is read, since whatever follows it may have another shape: so the
+/// server can say which version it misses instead of complaining about bytes.
+///
 /// # Errors
 /// If the bytes are not exactly one message within its limits.
 pub fn decode_client_control(bytes: &[u8]) -> Result<ClientControl, DecodeError> {
-    let message: ClientControl = decode_control(bytes)?;
-    message.check()?;
-    Ok(message)
+    // The number of hello, which with the version after it never changes.
+    if let Some((0, rest)) = bytes.split_first()
+        && bytes.len() <= CLIENT_CONTROL_BYTES_MAX
+        && let Ok((version, _)) = decode_unchecked::<u16>(rest)
+        && version != VERSION
+    {
+        return Ok(ClientControl::Hello {
+            version,
+            token: Vec::new(),
+            resolution: (0, 0),
+            interest: Interest::Around,
+            role: Role::Avatar,
+            name: String::new(),
+        });
+    }
+    decode_control(bytes, CLIENT_CONTROL_BYTES_MAX)
 }
 
 /// What the server said on a control stream.
@@ -115,36 +156,55 @@ pub fn decode_client_control(bytes: &[u8]) -> Result<ClientControl, DecodeError>
 /// # Errors
 /// If the bytes are not exactly one message within its limits.
 pub fn decode_server_control(bytes: &[u8]) -> Result<ServerControl, DecodeError> {
-    decode_control(bytes)
+    decode_control(bytes, CONTROL_BYTES_MAX)
 }
 
 /// Cuts a byte stream into control messages.
-#[derive(Default)]
+///
+/// After each [`push`](ControlReader::push) take [`next_message`](ControlReader::next_message) until there is none;
+/// then it never holds more than one message and what was pushed last.
 pub struct ControlReader {
     buffer: Vec<u8>,
+    /// Bytes of `buffer` that were handed out already.
+    taken: usize,
+    limit: usize,
+}
+
+impl Default for ControlReader {
+    /// Reads what a server says: messages of up to [`CONTROL_BYTES_MAX`].
+    fn default() -> ControlReader {
+        ControlReader { buffer: Vec::new(), taken: 0, limit: CONTROL_BYTES_MAX }
+    }
 }
 
 impl ControlReader {
+    /// Reads what a client says: messages of up to [`CLIENT_CONTROL_BYTES_MAX`].
+    pub fn of_client() -> ControlReader {
+        ControlReader { limit: CLIENT_CONTROL_BYTES_MAX, ..ControlReader::default() }
+    }
+
     /// Adds what arrived.
     pub fn push(&mut self, bytes: &[u8]) {
+        // Moved up once a push, not once a message: a thousand tiny messages in one push would cost a thousand moves.
+        self.buffer.drain(..self.taken);
+        self.taken = 0;
         self.buffer.extend_from_slice(bytes);
     }
 
     /// The next whole message's bytes, without prefix; `Ok(None)` if there is none yet.
     ///
     /// # Errors
-    /// If the announced length is beyond [`CONTROL_BYTES_MAX`]. The stream is useless from then on.
+    /// If the announced length is beyond the limit. The stream is useless from then on, and says so again.
     pub fn next_message(&mut self) -> Result<Option<Vec<u8>>, DecodeError> {
-        let Some(prefix) = self.buffer.first_chunk::<4>() else { return Ok(None) };
+        let rest = &self.buffer[self.taken..];
+        let Some((prefix, rest)) = rest.split_first_chunk::<4>() else { return Ok(None) };
         let length = u32::from_le_bytes(*prefix) as usize;
-        if length > CONTROL_BYTES_MAX {
-            return Err(DecodeError::TooLarge { bytes: length, limit: CONTROL_BYTES_MAX });
+        if length > self.limit {
+            return Err(DecodeError::TooLarge { bytes: length, limit: self.limit });
         }
-        if self.buffer.len() < 4 + length {
-            return Ok(None);
-        }
-        let message = self.buffer[4..4 + length].to_vec();
-        self.buffer.drain(..4 + length);
+        let Some(message) = rest.get(..length) else { return Ok(None) };
+        let message = message.to_vec();
+        self.taken += 4 + length;
         Ok(Some(message))
     }
 }
@@ -156,15 +216,15 @@ pub struct DatagramWriter {
 }
 
 impl DatagramWriter {
-    /// A datagram of at most `limit` bytes that begins with `header`.
-    pub fn new<H: Serialize>(header: &H, limit: usize) -> DatagramWriter {
+    /// A datagram of at most `limit` bytes that begins with `header`, which goes in however small the limit is.
+    pub fn new<H: Message>(header: &H, limit: usize) -> DatagramWriter {
         let mut bytes = Vec::with_capacity(limit.min(DATAGRAM_BYTES_MAX));
         encode_into(header, &mut bytes);
         DatagramWriter { bytes, limit: limit.min(DATAGRAM_BYTES_MAX) }
     }
 
     /// Appends `record` if it fits; says whether it did.
-    pub fn push<R: Serialize>(&mut self, record: &R) -> bool {
+    pub fn push<R: Message>(&mut self, record: &R) -> bool {
         let before = self.bytes.len();
         encode_into(record, &mut self.bytes);
         if self.bytes.len() > self.limit {
@@ -180,7 +240,7 @@ impl DatagramWriter {
     }
 }
 
-fn decode_datagram<H: DeserializeOwned, R: DeserializeOwned>(bytes: &[u8]) -> Result<(H, Vec<R>), DecodeError> {
+fn decode_datagram<H: Message, R: Message>(bytes: &[u8]) -> Result<(H, Vec<R>), DecodeError> {
     if bytes.len() > DATAGRAM_BYTES_MAX {
         return Err(DecodeError::TooLarge { bytes: bytes.len(), limit: DATAGRAM_BYTES_MAX });
     }

@@ -1,6 +1,6 @@
 //! Names of things on the wire.
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer, de, ser};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, ser};
 
 /// Something that may move: an avatar, a chair. Three bytes on the wire, so that a pose record fits in 20.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -34,7 +34,7 @@ impl Serialize for ObjectId {
 
 impl<'de> Deserialize<'de> for ObjectId {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<ObjectId, D::Error> {
-        let [a, b, c] = <[u8; 3]>::deserialize(deserializer).map_err(de::Error::custom)?;
+        let [a, b, c] = <[u8; 3]>::deserialize(deserializer)?;
         Ok(ObjectId(u32::from_le_bytes([a, b, c, 0])))
     }
 }

@@ -5,27 +5,41 @@
 //! record about one object.
 //!
 //! ```text
-//! datagram, client to server                     datagram, server to client
-//! seq ack ack_bits hold   LinkHeader             seq ack ack_bits hold   LinkHeader
-//! frame                   client's world time    sent                    server's world time now
-//! record*                                        tick                    world time of the committed state
+//! datagram, client to server      bytes          datagram, server to client      bytes
+//! seq ack ack_bits hold           4..20          seq ack ack_bits hold           4..20
+//! frame                           1..9           sent                            1..9
+//! record*                                        tick                            1..9
 //!                                                record*
 //!
-//! record                  bytes                  record                  bytes
-//! 0 Pose                  1+3+12+4 = 20          0 State                 1+3+12+4 = 20
-//! 1 Request               1+3+1+1  = 6           1 Bound                 1+3+12+(1..5)·5, at most 41
-//! 2 Release               1+3+1    = 5           2 Violation             1+3+(1..5)+(1..9)+1
-//! 3 ViolationAck          1+3+(1..5)             3 Hidden                1+3 = 4
+//! record                          bytes          record                          bytes
+//! 0 Pose                          20             0 State                         20
+//!   object position orientation   3 12 4           object position orientation   3 12 4
+//! 1 Request                       6              1 Bound                         21..41
+//!   object want reason            3 1 1            object centre                 3 12
+//! 2 Release                       5                radius speed age valid issue  1..5 each
+//!   object want_bound             3 1            2 Violation                     7..19
+//! 3 ViolationAck                  5..9             object issue age present      3 1..5 1..9 1
+//!   object issue                  3 1..5         3 Hidden                        4
+//!                                                  object                        3
+//!
+//! control, client to server       bytes          control, server to client       bytes
+//! 0 Hello                         at most 1,300  0 Welcome                       19 an avatar, 49..306 a class
+//! 1 WorldWanted                   1              1 Refused                       the reason's length and 3 or more
+//! 2 Place                         17             2 Roster                        9..566 an entry
+//!   object position present       3 12 1         3 Left                          3 an object
+//! 3 Goodbye                       1
 //! ```
 //!
-//! Integers that are not fixed arrays are bincode's variable-length ones. The golden bytes are in `codec`'s tests.
+//! The first byte of a record or control message is its number in this table. Integers are bincode's variable-length
+//! ones (1 byte up to 250, then a marker and 2, 4 or 8 bytes; signed ones in zigzag), except within ids, positions and
+//! orientations, which are fixed little-endian bytes. `tests/wire/golden.rs` spells out the bytes of each.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{
     ClassId, ClientId, Extent, Issue, LinkHeader, MotionBound, ObjectId, Orientation, Position, Tbv, WorldTime,
 };
-use crate::{QUANTUM_METRES, codec};
+use crate::{QUANTUM_METRES, untrusted};
 
 /// Who the client wants to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -65,6 +79,7 @@ pub enum ClientControl {
         /// [`crate::VERSION`] of the client.
         version: u16,
         /// Admission token; empty for anonymous.
+        #[serde(deserialize_with = "untrusted::list")]
         token: Vec<u8>,
         /// Greatest resolution that it will draw at, pixels.
         resolution: (u16, u16),
@@ -73,6 +88,7 @@ pub enum ClientControl {
         /// Who it wants to be.
         role: Role,
         /// A name for people.
+        #[serde(deserialize_with = "untrusted::string")]
         name: String,
     },
     /// Asks for the world's bytes, on a stream of their own.
@@ -94,6 +110,7 @@ pub enum ClientControl {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Class {
     /// Name for people, and of the world file.
+    #[serde(deserialize_with = "untrusted::string")]
     pub name: String,
     /// How it moves.
     pub motion: MotionBound,
@@ -107,6 +124,7 @@ pub struct Class {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WorldInfo {
     /// Name for people.
+    #[serde(deserialize_with = "untrusted::string")]
     pub name: String,
     /// SHA-256 of the model's bytes.
     pub hash: [u8; 32],
@@ -122,12 +140,14 @@ pub struct Welcome {
     /// The client's own number.
     pub client: ClientId,
     /// Its avatars, and where they stand.
+    #[serde(deserialize_with = "untrusted::list")]
     pub avatars: Vec<(ObjectId, Position, Orientation)>,
     /// Point of the model's space that all positions are relative to, metres.
     pub anchor: [f64; 3],
     /// World time between ticks, microseconds.
     pub tick_micros: u32,
     /// The interest policy's name.
+    #[serde(deserialize_with = "untrusted::string")]
     pub policy: String,
     /// Whether the client decides what to ask for (the policy `visible`), or is told.
     pub tracking: bool,
@@ -136,6 +156,7 @@ pub struct Welcome {
     /// The static world.
     pub world: WorldInfo,
     /// Kinds of objects; a [`ClassId`] is an index.
+    #[serde(deserialize_with = "untrusted::list")]
     pub classes: Vec<Class>,
 }
 
@@ -147,8 +168,10 @@ pub struct RosterEntry {
     /// Its kind.
     pub class: ClassId,
     /// A name for people.
+    #[serde(deserialize_with = "untrusted::string")]
     pub name: String,
     /// Node of the model with its mesh; empty for an avatar.
+    #[serde(deserialize_with = "untrusted::string")]
     pub node: String,
     /// A first bound, so that it need not be asked for; `None` if it is not in the world or the policy needs none.
     pub bound: Option<WireTbv>,
@@ -181,6 +204,7 @@ pub enum ServerControl {
         /// Why, for programs.
         refusal: Refusal,
         /// Why, for people, with the remedy.
+        #[serde(deserialize_with = "untrusted::string")]
         reason: String,
     },
     /// Objects that exist, in pieces.
@@ -188,11 +212,13 @@ pub enum ServerControl {
         /// World time of the state that the bounds were made from.
         tick: WorldTime,
         /// At most [`ServerControl::ROSTER_MAX`].
+        #[serde(deserialize_with = "untrusted::list")]
         entries: Vec<RosterEntry>,
     },
     /// These objects exist no more.
     Left {
         /// Their ids.
+        #[serde(deserialize_with = "untrusted::list")]
         objects: Vec<ObjectId>,
     },
 }
@@ -229,6 +255,8 @@ pub enum Want {
     Bound,
     /// The state, and updates from now on.
     State,
+    /// The state, once: to find out whether the object itself is in sight, without a release if it is not.
+    Place,
 }
 
 /// Why a client asks.
@@ -370,27 +398,111 @@ pub enum ServerRecord {
     },
 }
 
-/// Greatest size of a token in hello.
-pub const TOKEN_BYTES_MAX: usize = 1024;
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
 
-/// Greatest length of a name.
-pub const NAME_BYTES_MAX: usize = 64;
+    use super::*;
+    use crate::METRES_MAX;
 
-impl ClientControl {
-    /// Checks what types can't: lengths and ranges.
-    ///
-    /// # Errors
-    /// Names the field and the limit.
-    pub fn check(&self) -> Result<(), codec::DecodeError> {
-        use codec::DecodeError::Field;
-        match self {
-            ClientControl::Hello { token, .. } if token.len() > TOKEN_BYTES_MAX => {
-                Err(Field { field: "token", limit: TOKEN_BYTES_MAX })
+    const STEPS_MAX: f64 = u32::MAX as f64 * QUANTUM_METRES;
+
+    fn tbv(radius: f64, speed: f64, issued: i64, expires: i64) -> Tbv {
+        Tbv {
+            centre: Position { x: i32::MIN, y: 0, z: i32::MAX },
+            radius,
+            speed,
+            issued: WorldTime::from_micros(issued),
+            expires: WorldTime::from_micros(expires),
+            issue: Issue(3),
+        }
+    }
+
+    /// Wherever and whenever the sent bound says something, it says no more than the one it was made from.
+    fn assert_contains(wire: &Tbv, tbv: &Tbv, time: WorldTime) {
+        assert_eq!((wire.centre, wire.issue, wire.issued), (tbv.centre, tbv.issue, tbv.issued));
+        assert!(
+            wire.radius >= tbv.radius && wire.speed >= tbv.speed && wire.expires <= tbv.expires,
+            "{wire:?} {tbv:?}"
+        );
+        assert!(wire.radius.is_finite() && wire.speed.is_finite());
+        if wire.holds_at(time) {
+            assert!(tbv.holds_at(time));
+            assert!(wire.radius_at(time) >= tbv.radius_at(time), "{wire:?} {tbv:?} at {time:?}");
+        }
+    }
+
+    #[test]
+    fn what_the_wire_cannot_carry_is_not_sent() {
+        let tick = WorldTime::from_micros(50);
+        let sent = |radius, speed, issued, expires| WireTbv::new(&tbv(radius, speed, issued, expires), tick).is_some();
+        assert!(sent(1.0, 1.0, 50, 50));
+        for bad in [f64::NAN, f64::INFINITY, STEPS_MAX + 1e-6, f64::MAX, 4.0 * METRES_MAX] {
+            assert!(!sent(bad, 1.0, 50, 50), "radius {bad}");
+            assert!(!sent(1.0, bad, 50, 50), "speed {bad}");
+        }
+        assert!(sent(STEPS_MAX, STEPS_MAX, 50, 50));
+        assert!(!sent(1.0, 1.0, 51, 90), "issued after the tick");
+        assert!(!sent(1.0, 1.0, 10, 49), "expired");
+        assert!(sent(1.0, 1.0, 50 - i64::from(u32::MAX), 50));
+        assert!(!sent(1.0, 1.0, 49 - i64::from(u32::MAX), 50), "too old");
+        assert!(!sent(1.0, 1.0, i64::MIN, i64::MAX), "too old");
+        assert!(sent(1.0, 1.0, 50, i64::MAX), "a bound that never expires is sent with a shorter life");
+    }
+
+    fn sizes() -> impl Strategy<Value = f64> {
+        prop_oneof![
+            Just(0.0),
+            Just(f64::MIN_POSITIVE),
+            Just(5e-324),
+            Just(QUANTUM_METRES),
+            Just(STEPS_MAX),
+            0.0..1e-3f64,
+            0.0..1e3f64,
+            0.0..STEPS_MAX,
+            any::<f64>(),
+        ]
+    }
+
+    fn times() -> impl Strategy<Value = i64> {
+        prop_oneof![Just(i64::MIN), Just(i64::MAX), Just(0), -100_000_000..100_000_000i64, any::<i64>()]
+    }
+
+    proptest! {
+        #[test]
+        fn a_sent_bound_contains_the_one_it_was_made_from(
+            radius in sizes(),
+            speed in sizes(),
+            tick in times(),
+            age in prop_oneof![Just(0), Just(i64::from(u32::MAX)), 0..i64::from(u32::MAX), any::<i64>()],
+            valid in prop_oneof![Just(0), 0..2000i64, 0..86_400_000_000i64, any::<i64>()],
+            later in prop_oneof![Just(0), 0..100_000_000i64, any::<i64>()],
+        ) {
+            let tick = WorldTime::from_micros(tick);
+            let time = tick.offset_micros(later);
+            let tbv = tbv(radius, speed, tick.offset_micros(age.saturating_neg()).micros(), tick.offset_micros(valid).micros());
+            match WireTbv::new(&tbv, tick) {
+                Some(wire) => assert_contains(&wire.tbv(tick), &tbv, time),
+                None => prop_assert!(
+                    !(radius <= STEPS_MAX && speed <= STEPS_MAX)
+                        || tbv.issued > tick
+                        || tbv.expires < tick
+                        || tick.since(tbv.issued).as_micros() > u128::from(u32::MAX)
+                ),
             }
-            ClientControl::Hello { name, .. } if name.len() > NAME_BYTES_MAX => {
-                Err(Field { field: "name", limit: NAME_BYTES_MAX })
-            }
-            _ => Ok(()),
+        }
+
+        /// A hostile bound is as harmless as any: finite, with an expiry that saturates.
+        #[test]
+        fn any_wire_bound_is_a_bound(
+            radius_steps: u32, speed_steps: u32, age_micros: u32, valid_millis: u32, tick in times(), time in times(),
+        ) {
+            let wire = WireTbv {
+                centre: Position::default(), radius_steps, speed_steps, age_micros, valid_millis, issue: Issue(0),
+            };
+            let tbv = wire.tbv(WorldTime::from_micros(tick));
+            prop_assert!(tbv.issued <= tbv.expires);
+            prop_assert!(tbv.radius_at(WorldTime::from_micros(time)).is_finite());
         }
     }
 }

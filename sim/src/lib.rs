@@ -1,5 +1,7 @@
 //! Scenes, motion, measurement and reports.
 
+pub mod demo;
+pub mod measure;
 pub mod motion;
 pub mod people;
 pub mod places;

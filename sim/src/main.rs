@@ -1,3 +1,7 @@
 //! `eyeline-sim`: makes worlds, runs them, and measures.
 
-fn main() {}
+fn main() -> anyhow::Result<()> {
+    let text = eyeline_sim::demo::run(std::path::Path::new("out/demo"))?;
+    print!("{text}");
+    Ok(())
+}

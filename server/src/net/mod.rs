@@ -61,6 +61,11 @@ impl WorldClock {
         self.base + self.epoch.elapsed()
     }
 
+    /// The time that the clock shows at `instant`; its base before it started.
+    pub fn at(&self, instant: Instant) -> WorldTime {
+        self.base + instant.saturating_duration_since(self.epoch)
+    }
+
     /// When the clock will show `time`.
     pub fn instant(&self, time: WorldTime) -> Instant {
         self.epoch + time.since(self.base)
@@ -72,6 +77,8 @@ impl WorldClock {
 pub struct ShellStats {
     /// Time spent in the world and in handing its output to QUIC.
     pub work: Duration,
+    /// Longest piece of work: how long an answer may have waited for its turn.
+    pub work_longest: Duration,
     /// Work of each tick, the newest last; at most [`TICKS_KEPT`].
     pub tick_micros: Vec<u32>,
     /// Connections that were closed because they did not read what they were told.
@@ -147,7 +154,9 @@ impl Handle {
         let mut core = self.lock();
         f(&mut core.world, self.clock.now());
         core.flush(self.clock.now());
-        core.stats.work += started.elapsed();
+        let work = started.elapsed();
+        core.stats.work += work;
+        core.stats.work_longest = core.stats.work_longest.max(work);
     }
 }
 
@@ -312,7 +321,7 @@ async fn converse(
         Err(_) => return "no hello".into(),
     };
     let reading = async {
-        let mut reader = ControlReader::default();
+        let mut reader = ControlReader::of_client();
         loop {
             match receive.read_chunk(16 * 1024, true).await {
                 Ok(Some(chunk)) => reader.push(&chunk.bytes),

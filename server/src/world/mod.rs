@@ -17,9 +17,9 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use eyeline_protocol::{
-    Class, ClassId, ClientControl, ClientId, ClientRecord, Extent, LocalTime, MotionBound, ObjectId, Orientation,
-    Position, QUANTUM_METRES, Refusal, Role, RosterEntry, ServerControl, VERSION, Want, Welcome, WireTbv, WorldInfo,
-    WorldTime, codec,
+    CLASSES_MAX, Class, ClassId, ClientControl, ClientId, ClientRecord, Extent, LocalTime, MotionBound, NAME_BYTES_MAX,
+    ObjectId, Orientation, Position, QUANTUM_METRES, Refusal, Role, RosterEntry, ServerControl, VERSION, Want, Welcome,
+    WireTbv, WorldInfo, WorldTime, codec,
 };
 use glam::DVec3;
 
@@ -94,6 +94,9 @@ impl World {
         now: WorldTime,
     ) -> Result<World, WorldError> {
         config.check()?;
+        if info.name.len() > NAME_BYTES_MAX {
+            return Err(WorldError::Name { name: info.name });
+        }
         let classes = classes(&config, &spec)?;
         let mut objects = Vec::with_capacity(spec.objects.len());
         let paths = paths_of(&spec)?;
@@ -110,6 +113,11 @@ impl World {
             if id > ObjectId::MAX {
                 return Err(WorldError::TooManyObjects { objects: spec.objects.len() });
             }
+            // What follows a path is on it from the first moment.
+            let position = match &path {
+                Some(path) => Position::from_metres(path.pose_at(now.seconds()).0 - anchor).map_err(out_of_range)?,
+                None => position,
+            };
             let mut object = Object::new(entry.name.clone(), ClassId(class as u16), position, now);
             object.node = entry.node.clone().unwrap_or_else(|| entry.name.clone());
             object.orientation = Orientation::from_yaw(entry.heading);
@@ -395,6 +403,7 @@ impl World {
                     answer = true;
                     match want {
                         Want::State => session.subscribe(object, seq),
+                        Want::Place => session.tell_once(object, seq),
                         Want::Bound => {
                             session.unsubscribe(object, seq);
                             session.bounds_due.insert(object);
@@ -533,7 +542,7 @@ impl World {
     fn wire_bound(&mut self, id: ObjectId) -> Option<WireTbv> {
         let object = &mut self.objects[id.index()];
         let motion = self.classes[usize::from(object.class.0)].motion;
-        let tbv = object.fresh_tbv(self.tick, motion, &self.config);
+        let tbv = object.fresh_tbv(self.tick, motion, &self.config, self.anchor);
         WireTbv::new(&tbv, self.tick)
     }
 
@@ -559,11 +568,11 @@ impl World {
     fn build_datagram(&mut self, id: SessionId, now: WorldTime) -> Option<Vec<u8>> {
         let session = self.sessions.get_mut(&id)?;
         let Phase::Live { slot, .. } = session.phase else { return None };
-        let (tick, blur_config) = (self.tick, &self.config);
+        let (tick, blur_config, anchor) = (self.tick, &self.config, self.anchor);
         let classes = &self.classes;
         session.build(now, tick, slot, &mut self.objects, &mut self.stats, |object| {
             let motion = classes[usize::from(object.class.0)].motion;
-            WireTbv::new(&object.fresh_tbv(tick, motion, blur_config), tick)
+            WireTbv::new(&object.fresh_tbv(tick, motion, blur_config, anchor), tick)
         })
     }
 
@@ -645,7 +654,11 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
             return Err(WorldError::Spawn { index, position: spawn.position });
         }
     }
-    if classes.len() > usize::from(u16::MAX) {
+    let names = spec.objects.iter().flat_map(|object| [Some(&object.name), object.node.as_ref()]).flatten();
+    if let Some(name) = names.chain(classes.iter().map(|class| &class.name)).find(|name| name.len() > NAME_BYTES_MAX) {
+        return Err(WorldError::Name { name: name.clone() });
+    }
+    if classes.len() > CLASSES_MAX {
         return Err(WorldError::TooManyClasses { classes: classes.len() });
     }
     Ok(classes)

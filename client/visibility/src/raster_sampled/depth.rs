@@ -80,8 +80,7 @@ impl DepthBuffer {
                 }
                 piece.spans([0, last_row], |y, first, last, ramp| {
                     let row = y as usize * stride;
-                    let stretch = depths[row + first as usize..=row + last as usize].iter_mut();
-                    ramp.over(0, stretch, |z, depth| *depth = if z > *depth { z } else { *depth });
+                    ramp.draw_depths(0, &mut depths[row + first as usize..=row + last as usize]);
                 });
             });
         }
@@ -98,7 +97,7 @@ impl DepthBuffer {
         if aabb.contains(projector.eye()) {
             return Place::Touching;
         }
-        let points = aabb.corners().map(|corner| projector.to_view(corner));
+        let points = aabb.corners().map(|corner| projector.view_point(corner));
         let mut w = [f64::INFINITY, f64::NEG_INFINITY];
         let mut size = 0.0_f64;
         for p in &points {

@@ -64,7 +64,7 @@ impl Projector {
         self.eye
     }
 
-    pub(super) fn to_view(&self, point: DVec3) -> ViewPoint {
+    pub(super) fn view_point(&self, point: DVec3) -> ViewPoint {
         let d = point - self.eye;
         let [x, y, w] = self.axes.map(|axis| d.x * axis.x + d.y * axis.y + d.z * axis.z);
         ViewPoint { x, y, w }
@@ -85,7 +85,7 @@ impl Projector {
     /// Calls `emit` for each piece of the triangle that may cover a pixel centre: one, or a fan if it had to be clipped.
     #[inline]
     pub(super) fn pieces(&self, corners: [DVec3; 3], sides: Sides, mut emit: impl FnMut(&Piece)) {
-        let points = corners.map(|corner| self.to_view(corner));
+        let points = corners.map(|corner| self.view_point(corner));
         if points.iter().all(|p| p.w < self.near) || self.outside(&points, 0.0) {
             return;
         }
@@ -196,20 +196,61 @@ pub(super) struct Ramp {
 }
 
 impl Ramp {
-    /// Calls `put` with each depth and pixel of a stretch. Each depth depends on its distance alone, not on where the stretch
-    /// begins. Written for vectorisation: `put` must not branch.
+    /// The depth at a distance. It depends on the distance alone, not on where a stretch of pixels begins.
     #[inline(always)]
-    pub(super) fn over<T>(&self, first: i32, stretch: impl Iterator<Item = T>, mut put: impl FnMut(f32, T)) {
-        let distances = first..i32::MAX;
-        if self.steep {
-            for (distance, pixel) in distances.zip(stretch) {
-                put((self.start + self.slope * f64::from(distance)) as f32, pixel);
-            }
+    fn at<const STEEP: bool>(&self, distance: i32) -> f32 {
+        if STEEP {
+            (self.start + self.slope * f64::from(distance)) as f32
         } else {
-            let (start, slope) = (self.start as f32, self.slope as f32);
-            for (distance, pixel) in distances.zip(stretch) {
-                put(start + slope * distance as f32, pixel);
+            self.start as f32 + self.slope as f32 * distance as f32
+        }
+    }
+
+    /// Moves depths nearer, from the distance `first` on.
+    #[inline]
+    pub(super) fn draw_depths(&self, first: i32, depths: &mut [f32]) {
+        if self.steep { self.depths::<true>(first, depths) } else { self.depths::<false>(first, depths) }
+    }
+
+    #[inline(always)]
+    fn depths<const STEEP: bool>(&self, first: i32, depths: &mut [f32]) {
+        // Counted by i32 and free of branches, so that it becomes vector code.
+        for (i, depth) in depths.iter_mut().enumerate() {
+            let z = self.at::<STEEP>(first + i as i32);
+            *depth = if z > *depth { z } else { *depth };
+        }
+    }
+
+    /// Gives `id` the pixels where it is nearer, or as near and the lower id, from the distance `first` on.
+    #[inline]
+    pub(super) fn draw_items(&self, first: i32, depths: &mut [f32], ids: &mut [u32], id: u32) {
+        if self.steep {
+            self.items::<true>(first, depths, ids, id)
+        } else {
+            self.items::<false>(first, depths, ids, id)
+        }
+    }
+
+    #[inline(always)]
+    fn items<const STEEP: bool>(&self, first: i32, depths: &mut [f32], ids: &mut [u32], id: u32) {
+        // Short rows do not repay vector code: half the speed for triangles of 5 px.
+        if depths.len() < 8 {
+            for (i, (depth, winner)) in depths.iter_mut().zip(ids).enumerate() {
+                let z = self.at::<STEEP>(first + i as i32);
+                if z > *depth || (z == *depth && id < *winner) {
+                    *depth = z;
+                    *winner = id;
+                }
             }
+            return;
+        }
+        for (i, (depth, winner)) in depths.iter_mut().zip(ids).enumerate() {
+            let z = self.at::<STEEP>(first + i as i32);
+            let wins = (z > *depth) | ((z == *depth) & (id < *winner));
+            // Written as a selection of bits, since the compiler makes branches of anything else: 730 to 490 µs for the bench building.
+            let mask = u32::from(wins).wrapping_neg();
+            *depth = f32::from_bits((z.to_bits() & mask) | (depth.to_bits() & !mask));
+            *winner = (id & mask) | (*winner & !mask);
         }
     }
 }

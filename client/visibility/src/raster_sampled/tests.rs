@@ -175,7 +175,7 @@ fn single_sided_triangles_are_drawn_from_their_front_only() {
     };
     let [a, b, c] = one.corners;
     assert_eq!(winners([a, b, c]), [0]);
-    assert_eq!(winners([a, c, b]), []);
+    assert!(winners([a, c, b]).is_empty());
 }
 
 #[test]

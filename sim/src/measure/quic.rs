@@ -1,0 +1,309 @@
+//! A run over real QUIC: the server in a thread of its own, all clients in another, loopback between them.
+
+// This is a driver: it may read the clock.
+#![expect(clippy::disallowed_methods)]
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use bytes::Bytes;
+use eyeline_client::net::{Connection, Endpoint, Fingerprint, LocalClock, run_headless};
+use eyeline_client::session::{Session, SessionConfig};
+use eyeline_client::tracking::TrackerConfig;
+use eyeline_protocol::{Role, WorldTime};
+use eyeline_server::net::{Handle, Identity, Server, WorldClock};
+use eyeline_server::world::{MessageCounts, WorldConfig};
+use eyeline_visibility::DynamicOctree;
+
+use super::{Bursts, ClientLog, Commit, FrameLog, Known, MeasureConfig, ObjectInfo, RunLog};
+use crate::people::{FrameHook, Person, Replay};
+use crate::report::Progress;
+use crate::stage::{Crowd, Stage};
+
+/// What the server thread tells when it listens.
+struct Ready {
+    address: SocketAddr,
+    fingerprint: [u8; 32],
+    handle: Handle,
+}
+
+/// Time between the last client's welcome and the start of the warm-up.
+const SETTLE: Duration = Duration::from_millis(200);
+
+pub(super) fn run(
+    stage: &Stage,
+    crowd: Option<&Crowd>,
+    config: &MeasureConfig,
+    policy: &str,
+) -> anyhow::Result<RunLog> {
+    let clock = WorldClock::starting_at(WorldTime::ZERO);
+    let world_config = WorldConfig::default()
+        .with_tick(config.frame())
+        .with_blur(config.blur)
+        .with_grid_seed(config.seed)
+        .with_default_spawn(stage.model.scene.bounds().centre());
+    let world = stage.world(world_config, policy, clock.now())?;
+    let commits = Arc::new(Mutex::new(Vec::new()));
+    let (ready_send, ready) = mpsc::channel();
+    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let model = Bytes::copy_from_slice(&stage.model.bytes);
+    let server = {
+        let commits = commits.clone();
+        std::thread::Builder::new().name("server".into()).spawn(move || -> anyhow::Result<()> {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+            runtime.block_on(async {
+                let identity = Identity::ephemeral()?;
+                let fingerprint = identity.fingerprint();
+                let hook = Box::new(move |world: &eyeline_server::world::World| {
+                    commits.lock().unwrap_or_else(PoisonError::into_inner).push(Commit::of(world));
+                });
+                let address = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+                let server = Server::bind(address, identity, world, model, clock, Some(hook))?;
+                let ready = Ready { address: server.local_addr()?, fingerprint, handle: server.handle() };
+                // If nobody waits any more, the run has failed elsewhere.
+                let _ = ready_send.send(ready);
+                server
+                    .run(async {
+                        let _ = stopped.await;
+                    })
+                    .await;
+                anyhow::Ok(())
+            })
+        })?
+    };
+    let ready = match ready.recv() {
+        Ok(ready) => ready,
+        Err(_) => {
+            let outcome = server.join().map_err(|_| anyhow::anyhow!("the server panicked"))?;
+            outcome?;
+            anyhow::bail!("the server ended before it listened");
+        }
+    };
+    let handle = ready.handle.clone();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let outcome =
+        tokio::task::LocalSet::new().block_on(&runtime, run_clients(stage, crowd, config, policy, ready, clock));
+    let _ = stop.send(());
+    server.join().map_err(|_| anyhow::anyhow!("the server panicked"))??;
+    let Measured { clients, up, down, server_work, turnaround, tick_micros, poses_clamped, violations } = outcome?;
+    let (classes, objects) = handle.with_world(|world| {
+        let info =
+            |object: &eyeline_server::world::Object| ObjectInfo { class: object.class, node: object.node.clone() };
+        (world.classes().to_vec(), world.objects().iter().map(info).collect())
+    });
+    let commits = std::mem::take(&mut *commits.lock().unwrap_or_else(PoisonError::into_inner));
+    Ok(RunLog {
+        policy: policy.to_owned(),
+        net: "quic",
+        window: config.window,
+        commits,
+        classes,
+        objects,
+        clients,
+        up,
+        down,
+        server_work,
+        turnaround,
+        tick_micros,
+        poses_clamped,
+        violations,
+    })
+}
+
+struct Measured {
+    clients: Vec<ClientLog>,
+    up: MessageCounts,
+    down: MessageCounts,
+    server_work: Duration,
+    turnaround: Duration,
+    tick_micros: Vec<u32>,
+    poses_clamped: u64,
+    violations: u64,
+}
+
+fn session(stage: &Stage, config: SessionConfig) -> Session {
+    let bounds = stage.model.scene.bounds();
+    Session::new(config, Box::new(move || Box::new(DynamicOctree::new(bounds))))
+}
+
+async fn run_clients(
+    stage: &Stage,
+    crowd: Option<&Crowd>,
+    config: &MeasureConfig,
+    policy: &str,
+    ready: Ready,
+    world_clock: WorldClock,
+) -> anyhow::Result<Measured> {
+    let clock = LocalClock::default();
+    let endpoint = Endpoint::new(Fingerprint(ready.fingerprint), ready.address)?;
+    let tracker = TrackerConfig::default()
+        .with_frame(config.frame())
+        .with_growth(config.growth)
+        .with_linger_frames(config.linger_frames)
+        .with_staged(config.staged)
+        .with_sabotage(config.sabotage);
+    let progress = Progress::new(config.clients as u64, &format!("{policy}: clients join"));
+    let mut actor = None;
+    if let Some(crowd) = crowd {
+        let replay = Replay::new(crowd.clone(), stage.anchor(), 0.0);
+        let role = Role::Actor { avatars: replay.avatars() };
+        let session = session(stage, SessionConfig::default().with_role(role).with_name("replay"));
+        actor = Some((endpoint.connect(ready.address, session, clock).await?, replay));
+    }
+    let mut watchers = Vec::new();
+    for number in 0..config.clients {
+        let session_config = SessionConfig::default()
+            .with_resolution(config.resolution.width as u16, config.resolution.height as u16)
+            .with_name(format!("client {number}"))
+            .with_tracker(tracker.clone());
+        let connection = endpoint
+            .connect(ready.address, session(stage, session_config), clock)
+            .await
+            .with_context(|| format!("client {number} of {}", config.clients))?;
+        watchers.push(connection);
+        progress.inc(1);
+    }
+    progress.finish();
+
+    let start = Instant::now() + SETTLE + config.warm_up;
+    let end = start + config.window;
+    let is_measuring = Arc::new(AtomicBool::new(false));
+    let mut tasks = Vec::new();
+    let count = config.clients.max(1) as u32;
+    for (number, connection) in watchers.into_iter().enumerate() {
+        let log = Arc::new(Mutex::new(ClientLog::default()));
+        let bursts = Bursts::new(config.burst_frames, config.truth_share, number as u64);
+        let hook = recorder(log.clone(), is_measuring.clone(), bursts, clock, world_clock, stage.anchor());
+        let person = Person::new(stage, config.seed, number, config.side, Some(hook));
+        let phase = config.frame() * number as u32 / count;
+        let task = watch(connection, person, log, config.frame(), phase, start, end);
+        tasks.push(tokio::task::spawn_local(task));
+    }
+    let actor =
+        actor.map(|(connection, replay)| tokio::task::spawn_local(act(connection, replay, config.frame(), start, end)));
+
+    tokio::time::sleep_until(start.into()).await;
+    is_measuring.store(true, Ordering::Relaxed);
+    ready.handle.reset_stats();
+    let before = ready.handle.with_world(|world| *world.stats());
+    let progress = Progress::new(config.window.as_millis() as u64, &format!("{policy}: measuring"));
+    let step = Duration::from_millis(250);
+    while Instant::now() + step < end {
+        tokio::time::sleep(step).await;
+        progress.inc(step.as_millis() as u64);
+    }
+    tokio::time::sleep_until(end.into()).await;
+    progress.finish();
+    let after = ready.handle.with_world(|world| *world.stats());
+    let shell = ready.handle.stats();
+
+    let mut clients = Vec::new();
+    for task in tasks {
+        clients.push(task.await??);
+    }
+    let mut up = after.messages_in.since(&before.messages_in);
+    if let Some(actor) = actor {
+        // The crowd's own poses are the world's motion, not the watchers' traffic.
+        up.poses = up.poses.saturating_sub(actor.await??);
+    }
+    endpoint.wait_idle().await;
+    let mut tick_micros = shell.tick_micros;
+    tick_micros.sort_unstable();
+    Ok(Measured {
+        clients,
+        up,
+        down: after.out.since(&before.out),
+        server_work: shell.work,
+        turnaround: shell.work_longest,
+        tick_micros,
+        poses_clamped: after.poses_clamped - before.poses_clamped,
+        violations: after.violations - before.violations,
+    })
+}
+
+/// Notes each frame while the measurement lasts.
+fn recorder(
+    log: Arc<Mutex<ClientLog>>,
+    is_measuring: Arc<AtomicBool>,
+    bursts: Bursts,
+    clock: LocalClock,
+    world_clock: WorldClock,
+    anchor: glam::DVec3,
+) -> FrameHook {
+    Box::new(move |session, report, pose| {
+        let received = session.take_states_received();
+        if !is_measuring.load(Ordering::Relaxed) {
+            return;
+        }
+        let mut log = log.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = bursts.contain(log.frames.len() as u64).then(|| {
+            let tracker = session.tracker().into_iter().flat_map(|tracker| tracker.known());
+            tracker
+                .map(|(drawn, is_drawn)| Known { object: drawn.object, position: drawn.position, is_drawn })
+                .collect()
+        });
+        let (round_trip, round_trip_max) = session.round_trip().unwrap_or_default();
+        log.frames.push(FrameLog {
+            at: world_clock.at(clock.instant(report.began)),
+            eye: pose.eye - anchor,
+            yaw: pose.yaw,
+            cull: report.cull,
+            track: report.track,
+            late: report.late,
+            round_trip_max,
+            round_trip,
+            known,
+            received,
+        });
+    })
+}
+
+async fn watch(
+    mut connection: Connection,
+    mut person: Person,
+    log: Arc<Mutex<ClientLog>>,
+    frame: Duration,
+    phase: Duration,
+    start: Instant,
+    end: Instant,
+) -> anyhow::Result<ClientLog> {
+    let first = connection.clock().now() + phase;
+    let warm_up =
+        run_headless(&mut connection, &mut person, frame, first, tokio::time::sleep_until(start.into())).await?;
+    let before = connection.udp();
+    let resent = connection.session.tracker().map_or(0, |tracker| tracker.stats().resent);
+    let summary =
+        run_headless(&mut connection, &mut person, frame, warm_up.next, tokio::time::sleep_until(end.into())).await?;
+    let after = connection.udp();
+    let avatar = connection.session.welcome().and_then(|welcome| welcome.avatars.first()).map(|avatar| avatar.0);
+    let resent_after = connection.session.tracker().map_or(0, |tracker| tracker.stats().resent);
+    connection.close().await;
+    drop(person);
+    let mut log = std::mem::take(&mut *log.lock().unwrap_or_else(PoisonError::into_inner));
+    log.avatar = avatar.unwrap_or_default();
+    log.udp = [after.0 - before.0, after.1 - before.1, after.2 - before.2, after.3 - before.3];
+    log.skipped = summary.skipped;
+    log.resent = resent_after - resent;
+    Ok(log)
+}
+
+/// Replays the crowd; returns how many records it sent within the window.
+async fn act(
+    mut connection: Connection,
+    mut replay: Replay,
+    frame: Duration,
+    start: Instant,
+    end: Instant,
+) -> anyhow::Result<u64> {
+    let first = connection.clock().now();
+    let warm_up =
+        run_headless(&mut connection, &mut replay, frame, first, tokio::time::sleep_until(start.into())).await?;
+    let before = connection.session.stats().records_out;
+    run_headless(&mut connection, &mut replay, frame, warm_up.next, tokio::time::sleep_until(end.into())).await?;
+    let sent = connection.session.stats().records_out - before;
+    connection.close().await;
+    Ok(sent)
+}
