@@ -56,7 +56,7 @@ fn real_scenes_are_culled_without_error() {
         let mut scratch = Scratch::default();
         let mut rng = Pcg64::seed_from_u64(21);
         let mut drawn = [0; 2];
-        for i in 0..50 {
+        for i in 0..100 {
             for side in [64, 128] {
                 let resolution = Resolution::new(side, side);
                 let view = if i % 2 == 0 {
