@@ -251,7 +251,7 @@ impl Session {
             match record {
                 ServerRecord::State { object, position, orientation } => {
                     self.states_received.push(object);
-                    tracker.handle_state(object, position, orientation, header.tick, now);
+                    tracker.handle_state(object, position, orientation, header.tick, occlusion, now);
                 }
                 ServerRecord::Bound { object, tbv } => tracker.handle_bound(object, tbv.tbv(header.tick), occlusion),
                 ServerRecord::Violation { object, issue, age_micros, present } => {

@@ -259,6 +259,8 @@ pub enum Want {
     Bound,
     /// The state, and updates from now on.
     State,
+    /// The state, once: to find out whether the object itself is in sight, without a release if it is not.
+    Place,
 }
 
 /// Why a client asks.

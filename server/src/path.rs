@@ -176,6 +176,17 @@ impl Path {
         self.speed_bound
     }
 
+    /// A ball that contains the reference point at every time: centre and radius in metres (S&G 1999, Fig. 4: the volume
+    /// that the motion sweeps, as a sphere).
+    pub fn ball(&self) -> (DVec3, f64) {
+        let corners = || self.segments.iter().flat_map(|segment| [segment.from, segment.to]);
+        let (min, max) =
+            corners().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(min, max), p| (min.min(p), max.max(p)));
+        let centre = (min + max) * 0.5;
+        let reach = corners().map(|corner| corner.distance(centre)).fold(0.0, f64::max);
+        (centre, (reach + self.wobble) * ROUND_UP + 1e-9)
+    }
+
     /// Share of the time in which it is not at rest, 0 to 1.
     pub fn moving_share(&self) -> f64 {
         if self.cycle_s > 0.0 { 2.0 * self.length / self.speed / self.cycle_s } else { 0.0 }
@@ -286,6 +297,22 @@ mod tests {
         assert_eq!(path.pose_at(1.0).1, 0.25);
         assert!((path.moving_share() - 4.0 / 6.0).abs() < 1e-12);
         assert!((path.speed_bound() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn its_ball_contains_it_at_every_time() {
+        let spec = PathSpec {
+            points: vec![[0.0, 0.0, 0.0], [2.0, 0.0, 1.0], [2.0, 1.0, 4.0]],
+            speed: 0.7,
+            pause: 0.5,
+            phase: 0.3,
+            wobble: 0.4,
+            wobble_per_metre: 1.3,
+        };
+        let path = Path::new(&spec, 0.0, "cart").unwrap();
+        let (centre, radius) = path.ball();
+        assert!((0..5000).all(|i| path.pose_at(f64::from(i) * 0.01).0.distance(centre) <= radius));
+        assert!(radius < 3.0, "{radius} m is not tight");
     }
 
     #[test]

@@ -57,8 +57,8 @@ impl TownRules {
         let millis = |chance: &mut Pcg64, most: u64| Duration::from_micros(chance.random_range(0..=most * 1_000));
         // A third each: a perfect local link; one that only delays; one with all that can go wrong.
         let kind = chance.random_range(0..3);
-        let mut link = LinkRules::default();
-        link.delay = if kind == 0 { millis(&mut chance, 5) } else { millis(&mut chance, 80) };
+        let delay = millis(&mut chance, if kind == 0 { 5 } else { 80 });
+        let mut link = LinkRules::default().with_delay(delay);
         if kind > 0 {
             link.jitter = millis(&mut chance, 30);
             link.duplicate = chance.random_range(0.0..0.05);

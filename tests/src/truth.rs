@@ -7,7 +7,7 @@ use std::time::Duration;
 use eyeline_protocol::{ClientRecord, Issue, ObjectId, ServerRecord, WorldTime, codec};
 use eyeline_server::world::{Object, World};
 use eyeline_sim::virtual_net::{Direction, Framed, Kind, LinkRules, Observer, Passing};
-use eyeline_visibility::{Aabb, Bound};
+use eyeline_visibility::Aabb;
 use glam::DVec3;
 
 use crate::index::IndexView;
@@ -59,6 +59,8 @@ struct Watcher {
     /// Lost packets of the control stream, which hold up what comes after.
     lost_control: VecDeque<WorldTime>,
     retry_max: Duration,
+    /// When it made its first frame.
+    began: Option<WorldTime>,
 }
 
 /// Watches a run over [`Walls`] and records each promise that is broken (DESIGN §3.2 and §3.3).
@@ -116,6 +118,7 @@ impl Truth {
             lost: BTreeMap::new(),
             lost_control: VecDeque::new(),
             retry_max: Duration::ZERO,
+            began: None,
         };
         self.watchers.insert(client, watcher);
     }
@@ -198,6 +201,7 @@ impl Truth {
         let recent = |past: WorldTime| at.since(past) <= LOSS_WINDOW;
         watcher.lost_control.retain(|&past| recent(past));
         let lost_control = watcher.lost_control.len() as u32;
+        let began = *watcher.began.get_or_insert(at);
         for (index, (object, past)) in frame.world.objects().iter().zip(objects.iter()).enumerate() {
             let id = ObjectId(index as u32);
             if !object.alive || !object.present || own.contains(&id) {
@@ -208,8 +212,9 @@ impl Truth {
                 lost.retain(|&past| recent(past));
                 lost.len() as u32
             });
-            // Only who has come lately is waited for on the control stream.
-            let losses = losses + if past.appeared_at.is_some_and(recent) { lost_control } else { 0 };
+            // Only who has come lately waits for the control stream, or is waited for.
+            let is_new = past.appeared_at.is_some_and(recent) || recent(began);
+            let losses = losses + if is_new { lost_control } else { 0 };
             let down_max = watcher.allowance.down_max;
             let for_losses = losses * (watcher.retry_max + frame_period);
             let place = object.position.metres();
@@ -230,7 +235,7 @@ impl Truth {
                         let radius = tbv.radius_at(at);
                         fail(format!("{id}: is {distance} m from its bound's centre, whose radius is {radius} m"));
                     }
-                    if let Some(Bound::Box(inserted)) = watcher.view.bound(id.0)
+                    if let Some(inserted) = watcher.view.bound(id.0).and_then(|bound| bound.aabb())
                         && !inserted.contains_box(&shape(frame.world, object, place))
                     {
                         fail(format!("{id}: at {place} is not in the box that T holds, {inserted:?}"));

@@ -6,7 +6,7 @@ use std::time::Duration;
 use eyeline_protocol::{
     Class, ClientRecord, Issue, LocalTime, ObjectId, Orientation, Position, Reason, RosterEntry, Tbv, Want, WorldTime,
 };
-use eyeline_visibility::{Aabb, Bound, DynamicIndex, Occlusion};
+use eyeline_visibility::{Bound, DynamicIndex, Occlusion};
 use glam::DVec3;
 
 use super::{Growth, Sabotage, TrackerConfig, TrackerStats};
@@ -233,13 +233,15 @@ impl Tracker {
         self.entries.remove(&object);
     }
 
-    /// Where an object was at `tick`.
+    /// Where an object was at `tick`. With the newest frame's `occlusion` it is decided at once whether an object that was
+    /// asked for its place is in sight.
     pub fn handle_state(
         &mut self,
         object: ObjectId,
         position: Position,
         orientation: Orientation,
         tick: WorldTime,
+        occlusion: Option<&dyn Occlusion>,
         now: LocalTime,
     ) {
         let state = State { position, orientation, tick };
@@ -267,17 +269,33 @@ impl Tracker {
             self.stats.broken_bounds += 1;
         }
         entry.state = Some(state);
-        let awaited = entry.ask.is_some_and(|ask| ask.want == Want::State);
+        let awaited = entry.ask.is_some_and(|ask| ask.want != Want::Bound);
+        let is_place = entry.ask.is_some_and(|ask| ask.want == Want::Place && ask.heard);
         // What was pushed before the server got the question is shown, but it is no answer: the server may have stopped
         // telling since.
-        if entry.ask.is_some_and(|ask| ask.want == Want::State && ask.heard) {
+        if entry.ask.is_some_and(|ask| ask.want != Want::Bound && ask.heard) {
             entry.ask = None;
             self.asked.remove(&object);
         }
         let was_visible = matches!(entry.belief, Belief::Visible);
         if was_visible {
+            if is_place {
+                self.ask(object, Want::State, Reason::Exposed);
+            }
             return;
         }
+        if is_place && let Some(occlusion) = occlusion {
+            // Nobody will tell of it again: it is out of sight, and a bound stands for it, or updates are asked for.
+            if let Some(local) = self.local_tbv(object) {
+                self.hold(object, local);
+                if self.is_hidden_for_now(object, &local, occlusion) {
+                    self.settle(object, occlusion);
+                    self.debug_check();
+                    return;
+                }
+            }
+        }
+        let Some(entry) = self.entries.get_mut(&object) else { return };
         if awaited || !self.tracking {
             entry.belief = Belief::Visible;
             entry.hidden_frames = 0;
@@ -286,6 +304,9 @@ impl Tracker {
             self.stats.revealed += 1;
             self.leave_t_and_q(object);
             self.visible.insert(object);
+            if is_place {
+                self.ask(object, Want::State, Reason::Exposed);
+            }
         } else {
             // Declined already: say so again if that may have got lost. What it tells is not wasted on the bound.
             self.stats.unwanted += 1;
@@ -441,8 +462,8 @@ impl Tracker {
             // Where updates were declined, silence says nothing about the time since.
             let declined = entry.released_at.filter(|_| entry.releasing).map_or(0.0, |at| now.since(at).as_secs_f64());
             let age = self.latest.seconds_since(state.tick).clamp(0.0, silence + declined);
-            let aabb = extent_box(class, state.position.metres(), class.motion.reach(age));
-            entry.hidden_frames = if occlusion.hides(&Bound::Box(aabb)) { entry.hidden_frames + 1 } else { 0 };
+            let bound = extent_bound(class, state.position.metres(), class.motion.reach(age));
+            entry.hidden_frames = if occlusion.hides(&bound) { entry.hidden_frames + 1 } else { 0 };
         }
     }
 
@@ -489,6 +510,15 @@ impl Tracker {
                 self.settle(object, occlusion);
             }
         }
+    }
+
+    /// Whether what `tbv` bounds is out of sight, and will be for the time that a round of questions takes.
+    fn is_hidden_for_now(&mut self, object: ObjectId, tbv: &Tbv, occlusion: &dyn Occlusion) -> bool {
+        let Some(entry) = self.entries.get(&object) else { return false };
+        let soon = self.latest.offset_micros(self.config.frame.as_micros() as i64);
+        let bound = extent_bound(&self.classes[entry.class], tbv.centre.metres(), tbv.radius_at(soon));
+        self.stats.work += 1;
+        occlusion.hides(&bound)
     }
 
     /// A bound made of the last exact state, which costs no message; `None` if that is so old that a fresh bound from
@@ -538,7 +568,7 @@ impl Tracker {
         let latest = self.latest;
         let class = &self.classes[entry.class];
         let frame_micros = self.config.frame.as_micros() as i64;
-        let box_at = |time: WorldTime| extent_box(class, tbv.centre.metres(), tbv.radius_at(time));
+        let bound_at = |time: WorldTime| extent_bound(class, tbv.centre.metres(), tbv.radius_at(time));
         let fixed_expiry = match self.config.growth {
             Growth::AtClient => tbv.expires,
             Growth::FixedPeriod(period) => tbv.expires.min(tbv.issued + period),
@@ -549,31 +579,31 @@ impl Tracker {
             return self.ask(object, want, Reason::Expired);
         }
         let mut tested = 0;
-        let mut hidden = |aabb: Aabb| {
+        let mut hidden = |bound: Bound| {
             tested += 1;
-            occlusion.hides(&Bound::Box(aabb))
+            occlusion.hides(&bound)
         };
         if let Growth::FixedPeriod(_) = self.config.growth {
             // The paper's way: the bound for the whole period is hidden, or it is exposed.
-            let grown = box_at(fixed_expiry);
-            if hidden(grown) || hidden(box_at(latest)) {
+            let grown = bound_at(fixed_expiry);
+            if hidden(grown) || hidden(bound_at(latest)) {
                 let is_whole = hidden(grown);
-                let aabb = if is_whole { grown } else { box_at(latest.offset_micros(frame_micros)) };
+                let bound = if is_whole { grown } else { bound_at(latest.offset_micros(frame_micros)) };
                 let due = if is_whole { fixed_expiry } else { latest.offset_micros(1) };
                 self.stats.work += tested;
-                return self.keep(object, aabb, due);
+                return self.keep(object, bound, due);
             }
             self.stats.work += tested;
             return self.expose(object, tbv);
         }
-        if !hidden(box_at(latest)) {
+        if !hidden(bound_at(latest)) {
             self.stats.work += tested;
             return self.expose(object, tbv);
         }
         let mut frames = entry.stage_frames;
         loop {
             let end = latest.offset_micros(frame_micros.saturating_mul(i64::from(frames))).min(fixed_expiry);
-            let grown = box_at(end);
+            let grown = bound_at(end);
             if hidden(grown) {
                 entry.stage_frames = frames;
                 self.stats.work += tested;
@@ -587,12 +617,12 @@ impl Tracker {
         // Hidden now, but perhaps not by the next frame: look again then.
         entry.stage_frames = 1;
         self.stats.work += tested;
-        let now_box = box_at(latest);
-        self.keep(object, now_box, latest.offset_micros(1));
+        let bound_now = bound_at(latest);
+        self.keep(object, bound_now, latest.offset_micros(1));
     }
 
-    fn keep(&mut self, object: ObjectId, aabb: Aabb, due: WorldTime) {
-        self.index.insert(object.0, Bound::Box(aabb));
+    fn keep(&mut self, object: ObjectId, bound: Bound, due: WorldTime) {
+        self.index.insert(object.0, bound);
         self.queue.insert((due, object));
         if let Some(entry) = self.entries.get_mut(&object) {
             entry.due = Some(due);
@@ -602,7 +632,8 @@ impl Tracker {
     /// A bound has become visible as it is now.
     fn expose(&mut self, object: ObjectId, tbv: Tbv) {
         if self.config.sabotage == Some(Sabotage::DropExposures) {
-            self.keep(object, Aabb::around(DVec3::splat(1e9), DVec3::ZERO), WorldTime::MAX);
+            let nowhere = Bound::Sphere { centre: DVec3::splat(1e9), radius: 0.0 };
+            self.keep(object, nowhere, WorldTime::MAX);
             return;
         }
         self.stats.exposed += 1;
@@ -610,7 +641,8 @@ impl Tracker {
         let entry = &self.entries[&object];
         let fresh = self.blur + self.classes[entry.class].motion.slack;
         let gains = tbv.radius_at(self.latest) > 1.25 * fresh + 0.05;
-        let want = if self.is_staged() && gains { Want::Bound } else { Want::State };
+        // A place comes as soon as a state would, so that it is never later; updates follow if it is in sight.
+        let want = if self.is_staged() && gains { Want::Bound } else { Want::Place };
         self.ask(object, want, Reason::Exposed);
     }
 
@@ -742,13 +774,14 @@ impl Tracker {
     }
 }
 
-/// The box of an object whose reference point is within `reach` of `centre`. One part in 10⁹ and a micrometre larger,
-/// which covers the rounding of coordinates up to the edge of the world.
-fn extent_box(class: &Class, centre: DVec3, reach: f64) -> Aabb {
+/// The upright cylinder of an object whose reference point is within `reach` of `centre`. One part in 10⁹ and a micrometre
+/// larger, which covers the rounding of coordinates up to the edge of the world.
+fn extent_bound(class: &Class, centre: DVec3, reach: f64) -> Bound {
     let reach = reach * (1.0 + 1e-9) + 1e-6;
-    let side = class.extent.radius + reach;
-    Aabb::new(
-        centre + DVec3::new(-side, class.extent.bottom - reach, -side),
-        centre + DVec3::new(side, class.extent.top + reach, side),
-    )
+    let (low, high) = (class.extent.bottom - reach, class.extent.top + reach);
+    Bound::Upright {
+        centre: centre + DVec3::Y * (0.5 * (low + high)),
+        radius: class.extent.radius + reach,
+        half_height: 0.5 * (high - low),
+    }
 }

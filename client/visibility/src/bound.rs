@@ -99,6 +99,15 @@ pub enum Bound {
         /// Radius in metres, finite and at least 0.
         radius: f64,
     },
+    /// An upright cylinder: what a thing that turns about the vertical axis stays in.
+    Upright {
+        /// Middle of its axis.
+        centre: DVec3,
+        /// Radius in metres, finite and at least 0.
+        radius: f64,
+        /// Half its height in metres, finite and at least 0.
+        half_height: f64,
+    },
     /// No limit is known: never hidden.
     Everywhere,
 }
@@ -109,6 +118,9 @@ impl Bound {
         match *self {
             Bound::Box(aabb) => Some(aabb),
             Bound::Sphere { centre, radius } => Some(Aabb::around(centre, DVec3::splat(radius))),
+            Bound::Upright { centre, radius, half_height } => {
+                Some(Aabb::around(centre, DVec3::new(radius, half_height, radius)))
+            }
             Bound::Everywhere => None,
         }
     }

@@ -305,18 +305,22 @@ impl Aabb {
     }
 }
 
+/// The box with each face one step of rounding farther out.
+fn outward(Aabb { min, max }: Aabb) -> Aabb {
+    let down = DVec3::new(min.x.next_down(), min.y.next_down(), min.z.next_down());
+    let up = DVec3::new(max.x.next_up(), max.y.next_up(), max.z.next_up());
+    Aabb::new(down, up)
+}
+
 /// A box that contains the bound, rounding included; `None` if nothing finite does or the bound makes no sense.
 fn outer_box(bound: &Bound) -> Option<Aabb> {
     let aabb = match *bound {
-        Bound::Sphere { centre, radius } if radius >= 0.0 => {
-            let reach = DVec3::splat(radius);
-            let (min, max) = (centre - reach, centre + reach);
-            let down = DVec3::new(min.x.next_down(), min.y.next_down(), min.z.next_down());
-            let up = DVec3::new(max.x.next_up(), max.y.next_up(), max.z.next_up());
-            Aabb::new(down, up)
+        Bound::Sphere { centre, radius } if radius >= 0.0 => outward(Aabb::around(centre, DVec3::splat(radius))),
+        Bound::Upright { centre, radius, half_height } if radius >= 0.0 && half_height >= 0.0 => {
+            outward(Aabb::around(centre, DVec3::new(radius, half_height, radius)))
         }
         Bound::Box(aabb) => aabb,
-        Bound::Sphere { .. } | Bound::Everywhere => return None,
+        Bound::Sphere { .. } | Bound::Upright { .. } | Bound::Everywhere => return None,
     };
     // The centre of a box near the greatest number would be infinite.
     let sane = aabb.min.is_finite() && aabb.max.is_finite() && aabb.centre().is_finite() && !aabb.is_empty();

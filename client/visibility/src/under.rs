@@ -309,8 +309,13 @@ impl Image {
             Seen::Near => return false,
             Seen::At(rectangle) => rectangle,
         };
-        if let Bound::Sphere { centre, radius } = *bound {
-            rectangle.tighten(face.local(centre - self.eye), radius);
+        match *bound {
+            Bound::Sphere { centre, radius } => rectangle.tighten(face.local(centre - self.eye), radius),
+            // Where the image's vertical is the world's, the cylinder's circle lies in the x-z plane of the image.
+            Bound::Upright { centre, radius, .. } if self.aligned && face.up.y == 1.0 => {
+                rectangle.tighten_across(face.local(centre - self.eye), radius);
+            }
+            _ => {}
         }
         if rectangle.z < self.near {
             return false;
@@ -520,23 +525,32 @@ impl Face {
 }
 
 impl Rectangle {
-    /// Intersects with the silhouette of a ball, where it lies wholly in front: the lines x = m·z that touch its circle
-    /// in the x-z plane satisfy (x − m·z)² = r²(1 + m²).
+    /// Intersects with the silhouette of a ball, where it lies wholly in front.
     fn tighten(&mut self, centre: DVec3, radius: f64) {
-        // Rounding grows without limit as the eye nears the surface; the box will do there.
-        if centre.z - radius < 0.01 * centre.z {
-            return;
+        self.tighten_across(centre, radius);
+        if let Some([low, high]) = touch(centre.y, centre.z, radius) {
+            self.y = [self.y[0].max(low), self.y[1].min(high)];
         }
-        self.z = self.z.max((centre.z - radius) * (1.0 - 1e-9));
-        let scale = 1.0 / (centre.z * centre.z - radius * radius);
-        let touch = |x: f64| {
-            let root = radius * (x * x + centre.z * centre.z - radius * radius).max(0.0).sqrt();
-            let (low, high) = ((x * centre.z - root) * scale, (x * centre.z + root) * scale);
-            let slack = 1e-9 * (1.0 + low.abs().max(high.abs()));
-            [low - slack, high + slack]
-        };
-        let (x, y) = (touch(centre.x), touch(centre.y));
-        self.x = [self.x[0].max(x[0]), self.x[1].min(x[1])];
-        self.y = [self.y[0].max(y[0]), self.y[1].min(y[1])];
     }
+
+    /// The same across the image only: for an upright cylinder in an upright image.
+    fn tighten_across(&mut self, centre: DVec3, radius: f64) {
+        if let Some([low, high]) = touch(centre.x, centre.z, radius) {
+            self.z = self.z.max((centre.z - radius) * (1.0 - 1e-9));
+            self.x = [self.x[0].max(low), self.x[1].min(high)];
+        }
+    }
+}
+
+/// Tangents of the lines x = m·z that touch a circle in the x-z plane: (x − m·z)² = r²(1 + m²). `None` unless it lies
+/// wholly in front: rounding grows without limit as the eye nears the circle, and a box will do there.
+fn touch(x: f64, z: f64, radius: f64) -> Option<[f64; 2]> {
+    if z - radius < 0.01 * z {
+        return None;
+    }
+    let scale = 1.0 / (z * z - radius * radius);
+    let root = radius * (x * x + z * z - radius * radius).max(0.0).sqrt();
+    let (low, high) = ((x * z - root) * scale, (x * z + root) * scale);
+    let slack = 1e-9 * (1.0 + low.abs().max(high.abs()));
+    Some([low - slack, high + slack])
 }

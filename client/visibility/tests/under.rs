@@ -41,6 +41,13 @@ fn sample(bound: &Bound, rng: &mut Pcg64) -> DVec3 {
             let part = if rng.random_bool(0.7) { 1.0 } else { rng.random_range(0.0..1.0) };
             centre + direction(rng) * (radius * part * (1.0 - 1e-12))
         }
+        Bound::Upright { centre, radius, half_height } => {
+            let turn = rng.random_range(0.0..std::f64::consts::TAU);
+            let part = if rng.random_bool(0.7) { 1.0 } else { rng.random_range(0.0..1.0) };
+            let reach = radius * part * (1.0 - 1e-12);
+            let height = if rng.random_bool(0.3) { 1.0 } else { rng.random_range(-1.0..1.0) };
+            centre + DVec3::new(reach * turn.cos(), half_height * height, reach * turn.sin())
+        }
         Bound::Everywhere => unreachable!("never hidden"),
     }
 }
@@ -56,6 +63,18 @@ fn first_point(bound: &Bound, eye: DVec3, through: DVec3) -> Option<DVec3> {
             let off = (centre - eye - along * middle).length_squared();
             (middle > 0.0 && off < radius * radius * (1.0 - 1e-9))
                 .then(|| eye + along * (middle - (radius * radius * (1.0 - 1e-9) - off).max(0.0).sqrt()))
+        }
+        Bound::Upright { centre, radius, half_height } => {
+            // Where the ray, seen from above, meets the circle; if it is not above or below the cylinder there.
+            let plan = |v: DVec3| glam::DVec2::new(v.x, v.z);
+            let to_axis = plan(centre - eye);
+            let square = plan(along).length_squared();
+            let middle = to_axis.dot(plan(along)) / square;
+            let off = (to_axis - plan(along) * middle).length_squared();
+            let inside = radius * radius * (1.0 - 1e-9) - off;
+            let t = middle - (inside.max(0.0) / square).sqrt();
+            let point = eye + along * t;
+            (inside > 0.0 && t > 0.0 && (point.y - centre.y).abs() < half_height).then_some(point)
         }
         Bound::Everywhere => None,
     }
@@ -96,8 +115,13 @@ fn assert_hidden(scene: &Scene, rays: &Rays, eye: DVec3, bound: &Bound, count: u
 
 fn random_bound(scene: &Scene, rng: &mut Pcg64) -> Bound {
     let centre = point_in(&scene.bounds().inflated(2.0), rng);
-    match rng.random_range(0..4) {
+    match rng.random_range(0..5) {
         0 => Bound::Box(Aabb::around(DVec3::new(centre.x, 0.9, centre.z), DVec3::new(0.3, 0.9, 0.3))),
+        3 => Bound::Upright {
+            centre,
+            radius: 10.0_f64.powf(rng.random_range(-3.0..0.7)),
+            half_height: 10.0_f64.powf(rng.random_range(-2.0..0.5)),
+        },
         1 => Bound::Sphere { centre, radius: 10.0_f64.powf(rng.random_range(-3.0..0.7)) },
         2 => Bound::Box(Aabb::around(centre, DVec3::splat(10.0_f64.powf(rng.random_range(-4.0..0.7))))),
         _ => {

@@ -103,6 +103,9 @@ pub struct ExactSight {
     items: Option<ItemBuffer>,
 }
 
+/// Pixels a side of the cube for the first question; coarser is quicker and leaves more for the others.
+const SIDE: u32 = 64;
+
 /// Pixels per unit of tangent of the small images: 320 pixels over 90°.
 const FOCAL_PX: f64 = 160.0;
 
@@ -111,7 +114,7 @@ impl ExactSight {
     pub fn new(scene: Arc<Scene>, meshes: Arc<Meshes>, classes: Vec<Class>) -> ExactSight {
         let all_round = Arc::new(AllRound::new(&scene));
         ExactSight {
-            scratch: all_round.scratch(128),
+            scratch: all_round.scratch(SIDE),
             all_round,
             rays: Arc::new(RayScene::new(&scene)),
             cplp: Arc::new(Cplp::build(&scene, OctreeRules::default())),
@@ -186,7 +189,12 @@ impl Sight for ExactSight {
                 place + DVec3::new(-extent.radius, extent.bottom, -extent.radius),
                 place + DVec3::new(extent.radius, extent.top, extent.radius),
             );
-            if !self.scratch.occlusion().hides(&Bound::Box(aabb)) && self.is_seen(eye, &aabb, object) {
+            let bound = Bound::Upright {
+                centre: aabb.centre(),
+                radius: extent.radius,
+                half_height: 0.5 * (extent.top - extent.bottom),
+            };
+            if !self.scratch.occlusion().hides(&bound) && self.is_seen(eye, &aabb, object) {
                 visible.push(id);
             }
         }

@@ -18,10 +18,14 @@ pub struct WorldConfig {
     pub blur: f64,
     /// Offset of the grid that hides places; secret in production, fixed under test.
     pub grid_seed: u64,
-    /// For how long a bound holds at most; default 60 s. The client decides how much of it to use.
+    /// For how long a bound holds at most; default 1 h. The client decides how much of it to use; each expiry costs it a
+    /// question.
     pub validity_max: Duration,
-    /// How late or early a pose may be; default 100 ms. Each bound of an avatar is larger by what it can walk in it.
+    /// How late or early a pose may be; default 60 ms. Each bound of an avatar is larger by what it can walk in it.
     pub jitter: Duration,
+    /// Whether what follows a preset path is bounded by the volume that the path sweeps, and what nobody moves by where it
+    /// stands, instead of by its class's speed; default true (Sudarsky & Gotsman 1999, §3.2 and Fig. 4).
+    pub swept: bool,
     /// A client that has not been heard of for so long gets no more updates until it is; default 3 s.
     pub lease: Duration,
     /// Most avatars; default 4096.
@@ -36,8 +40,9 @@ impl Default for WorldConfig {
             tick: Duration::from_millis(50),
             blur: 1.0,
             grid_seed: 0,
-            validity_max: Duration::from_secs(60),
-            jitter: Duration::from_millis(100),
+            validity_max: Duration::from_secs(3600),
+            jitter: Duration::from_millis(60),
+            swept: true,
             lease: Duration::from_secs(3),
             avatars_max: 4096,
             default_spawn: DVec3::ZERO,
@@ -64,6 +69,11 @@ impl WorldConfig {
     /// Sets where avatars start if the world names no place.
     pub fn with_default_spawn(self, default_spawn: DVec3) -> WorldConfig {
         WorldConfig { default_spawn, ..self }
+    }
+
+    /// Sets whether preset paths and rest make bounds.
+    pub fn with_swept(self, swept: bool) -> WorldConfig {
+        WorldConfig { swept, ..self }
     }
 
     /// Sets the most avatars.

@@ -113,6 +113,11 @@ impl World {
             if id > ObjectId::MAX {
                 return Err(WorldError::TooManyObjects { objects: spec.objects.len() });
             }
+            // What follows a path is on it from the first moment.
+            let position = match &path {
+                Some(path) => Position::from_metres(path.pose_at(now.seconds()).0 - anchor).map_err(out_of_range)?,
+                None => position,
+            };
             let mut object = Object::new(entry.name.clone(), ClassId(class as u16), position, now);
             object.node = entry.node.clone().unwrap_or_else(|| entry.name.clone());
             object.orientation = Orientation::from_yaw(entry.heading);
@@ -417,6 +422,7 @@ impl World {
                     answer = true;
                     match want {
                         Want::State => session.subscribe(object, seq),
+                        Want::Place => session.tell_once(object, seq),
                         Want::Bound => {
                             session.unsubscribe(object, seq);
                             session.bounds_due.insert(object);
@@ -555,7 +561,7 @@ impl World {
     fn wire_bound(&mut self, id: ObjectId) -> Option<WireTbv> {
         let object = &mut self.objects[id.index()];
         let motion = self.classes[usize::from(object.class.0)].motion;
-        let tbv = object.fresh_tbv(self.tick, motion, &self.config);
+        let tbv = object.fresh_tbv(self.tick, motion, &self.config, self.anchor);
         WireTbv::new(&tbv, self.tick)
     }
 
@@ -581,11 +587,11 @@ impl World {
     fn build_datagram(&mut self, id: SessionId, now: WorldTime) -> Option<Vec<u8>> {
         let session = self.sessions.get_mut(&id)?;
         let Phase::Live { slot, .. } = session.phase else { return None };
-        let (tick, blur_config) = (self.tick, &self.config);
+        let (tick, blur_config, anchor) = (self.tick, &self.config, self.anchor);
         let classes = &self.classes;
         session.build(now, tick, slot, &mut self.objects, &mut self.stats, |object| {
             let motion = classes[usize::from(object.class.0)].motion;
-            WireTbv::new(&object.fresh_tbv(tick, motion, blur_config), tick)
+            WireTbv::new(&object.fresh_tbv(tick, motion, blur_config, anchor), tick)
         })
     }
 

@@ -90,6 +90,8 @@ impl Object {
             if outcome.violated {
                 self.position = position;
                 self.present = present;
+                // Somebody took it: it no longer follows its path, and a bound by the path would be wrong.
+                self.path = None;
                 self.issue = Issue(self.issue.0 + 1);
                 self.changed_at = tick;
                 self.allowance = motion.slack;
@@ -130,35 +132,56 @@ impl Object {
         Position::from_metres(from + (to - from) * (reach / distance)).unwrap_or(self.position)
     }
 
-    /// A bound of this tick. Its centre is snapped to a horizontal grid with a secret offset, the same for every asker
-    /// and every time, so that asking often does not average the blur away; the grid's pitch is √2·blur, whose cells
-    /// have an enclosing circle of radius `blur`. Height is not hidden: floors are no secret.
-    pub(super) fn fresh_tbv(&self, tick: WorldTime, motion: MotionBound, config: &WorldConfig) -> Tbv {
-        let exact = self.position.metres();
-        let mut centre = exact;
-        let mut radius = 0.0;
-        if config.blur > 0.0 {
-            let pitch = config.blur * std::f64::consts::SQRT_2;
-            let (offset_x, offset_z) = grid_offset(config.grid_seed, pitch);
-            let snap = |x: f64, offset: f64| (((x - offset) / pitch).floor() + 0.5) * pitch + offset;
-            centre = DVec3::new(snap(exact.x, offset_x), exact.y, snap(exact.z, offset_z));
-            // Snapped to the wire's grid on top of it.
-            radius = config.blur + QUANTUM_METRES;
-        }
-        let centre = Position::from_metres(centre).unwrap_or(self.position);
-        if centre == self.position {
-            radius = radius.max(0.0);
-        }
+    /// A bound of this tick.
+    ///
+    /// What follows a preset path is bounded by the ball around the whole path, which does not grow; what nobody moves
+    /// does not grow either. Everything else grows by its class's speed.
+    pub(super) fn fresh_tbv(&self, tick: WorldTime, motion: MotionBound, config: &WorldConfig, anchor: DVec3) -> Tbv {
+        let (centre, radius, speed) = match (&self.path, self.owner) {
+            (Some(path), _) if config.swept => {
+                let (middle, reach) = path.ball();
+                // No smaller than the blur, however short the path: where it is on it is not to be known better.
+                let reach = reach.max(config.blur) + QUANTUM_METRES;
+                (Position::from_metres(middle - anchor).unwrap_or(self.position), reach, 0.0)
+            }
+            (None, None) if config.swept => {
+                let (centre, radius) = self.blurred(config);
+                (centre, radius, 0.0)
+            }
+            _ => {
+                let (centre, radius) = self.blurred(config);
+                (centre, radius, motion.speed_max)
+            }
+        };
         let tbv = Tbv {
             centre,
             radius: radius + motion.slack,
-            speed: motion.speed_max,
+            speed,
             issued: tick,
             expires: tick + config.validity_max,
             issue: self.issue,
         };
-        debug_assert!(tbv.contains(exact, tick), "a bound must contain its object when it is issued");
+        debug_assert!(tbv.contains(self.position.metres(), tick), "a bound must contain its object when it is issued");
         tbv
+    }
+
+    /// Its place snapped to a horizontal grid with a secret offset, the same for every asker and every time, so that asking
+    /// often does not average the blur away; and how far from that it may be. The grid's pitch is √2·blur, whose cells have
+    /// an enclosing circle of radius `blur`. Height is not hidden: floors are no secret.
+    fn blurred(&self, config: &WorldConfig) -> (Position, f64) {
+        if config.blur <= 0.0 {
+            return (self.position, 0.0);
+        }
+        let exact = self.position.metres();
+        let pitch = config.blur * std::f64::consts::SQRT_2;
+        let (offset_x, offset_z) = grid_offset(config.grid_seed, pitch);
+        let snap = |x: f64, offset: f64| (((x - offset) / pitch).floor() + 0.5) * pitch + offset;
+        let centre = DVec3::new(snap(exact.x, offset_x), exact.y, snap(exact.z, offset_z));
+        match Position::from_metres(centre) {
+            // Snapped to the wire's grid on top of it.
+            Ok(centre) => (centre, config.blur + QUANTUM_METRES),
+            Err(_) => (self.position, 0.0),
+        }
     }
 
     /// How it is told of to a holder from now on.

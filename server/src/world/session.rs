@@ -132,6 +132,13 @@ impl Session {
         self.subscriptions.insert(object, Subscription { active: true, sent: WorldTime::MIN, asked_seq: seq });
     }
 
+    /// Tells of the object now, and not from now on.
+    pub fn tell_once(&mut self, object: ObjectId, seq: u32) {
+        self.unsubscribe(object, seq);
+        self.bounds_due.remove(&object);
+        self.states_due.insert(object);
+    }
+
     pub fn unsubscribe(&mut self, object: ObjectId, seq: u32) {
         self.states_due.remove(&object);
         self.subscriptions.insert(object, Subscription { active: false, sent: WorldTime::MIN, asked_seq: seq });

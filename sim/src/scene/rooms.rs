@@ -88,7 +88,8 @@ pub fn make(rules: &RoomsRules) -> Result<MadeScene, RoomsError> {
     let mut world = WorldSpec {
         two_sided: false,
         name: format!("rooms {}×{} seed {}", rules.columns, rules.rows, rules.seed),
-        avatar: AvatarSpec::default(),
+        // Walkers keep to 1.5 m/s; a tight bound is worth messages.
+        avatar: AvatarSpec { speed_max: 1.6, ..AvatarSpec::default() },
         spawns: spawns(&plan),
         classes: Vec::new(),
         objects: Vec::new(),

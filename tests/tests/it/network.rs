@@ -2,11 +2,15 @@
 
 use std::cell::Cell;
 use std::rc::Rc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use eyeline_client::session::SessionConfig;
+use eyeline_protocol::Want;
 use eyeline_protocol::{ClientRecord, ObjectId, ServerRecord, codec};
+use eyeline_sim::virtual_net::ClientPlan;
 use eyeline_sim::virtual_net::{Direction, Fate, LinkRules, Passing, Verdict};
-use eyeline_tests::{HIDDEN, OPEN, Pair};
+use eyeline_tests::{HIDDEN, IndexView, OPEN, Pair, Standing, Walls};
 use glam::DVec3;
 
 const fn ms(millis: u64) -> Duration {
@@ -232,5 +236,71 @@ fn broadcast_over_a_bad_link_tells_everything_in_the_end() {
                 tracker.known().find(|(known, _)| known.object == object).map(|(known, _)| known.position.metres());
             assert_eq!(known, Some(pair.truly(object)), "seed {seed}, {object}");
         }
+    }
+}
+
+#[test]
+fn a_state_that_overtakes_the_roster_is_not_forgotten() {
+    // A newcomer that never moves; the control stream that names it is held up, the datagrams that tell of it are not.
+    let mut pair = Pair::builder().broadcast().seed(3).latency(ms(30)).build();
+    let link = LinkRules { delay: ms(30), loss: 0.8, ..LinkRules::default() };
+    pair.run.client_mut(1).down.set_rules(link);
+    pair.run.intercept(|message| match message.client {
+        1 => Verdict::Instead(Fate::Deliver(ms(30))),
+        _ => Verdict::AsRuled,
+    });
+    let place = Arc::new(Mutex::new(DVec3::ZERO));
+    let newcomer = Standing::new(Arc::new(Walls::default()), place);
+    let plan = ClientPlan::new(SessionConfig::default(), LinkRules::default());
+    let number = pair.run.join(plan, Box::new(newcomer), IndexView::default().maker());
+    pair.run_for(ms(20));
+    let object = pair.run.clients()[number].avatar().unwrap();
+    pair.run_for(ms(200));
+    let knows = |pair: &Pair| pair.session().tracker().unwrap().knows(object);
+    assert!(!knows(&pair) && pair.log.states(object) == 1, "the state has come, the roster has not");
+    pair.run_for(ms(3_000));
+    assert_eq!(pair.log.states(object), 1, "nobody tells it again");
+    assert_eq!(pair.drawn(object), Some(DVec3::ZERO));
+}
+
+#[test]
+fn what_is_in_sight_again_before_its_bound_has_come_stays_drawn() {
+    let mut pair = Pair::builder().latency(ms(150)).build();
+    let object = pair.spawn(HIDDEN);
+    pair.stand_at(AROUND_THE_CORNER);
+    // It stands so long that a bound of its last state would be wide: the server is asked for one.
+    pair.run_for(ms(2_000));
+    pair.stand_at(DVec3::ZERO);
+    pair.run_for(ms(100));
+    pair.stand_at(AROUND_THE_CORNER);
+    for _ in 0..20 {
+        pair.run_for(ms(50));
+        assert_eq!(pair.drawn(object), Some(HIDDEN));
+    }
+    assert_eq!(pair.log.releases(object), 1);
+    pair.truth.assert_kept("out of sight for two frames");
+}
+
+#[test]
+fn two_round_trips_are_not_tried_in_a_frame_soon_after_a_slow_one() {
+    for (slow, wanted) in [(false, Want::Bound), (true, Want::State)] {
+        let mut pair = Pair::builder().latency(ms(2)).build();
+        let object = pair.spawn_hidden();
+        let once = Rc::new(Cell::new(slow));
+        pair.run.intercept(move |message| {
+            if message.client == 1 && message.direction == Direction::Down && once.replace(false) {
+                return Verdict::Instead(Fate::Deliver(ms(40)));
+            }
+            Verdict::AsRuled
+        });
+        pair.run_for(ms(1_000));
+        pair.stand_at(AROUND_THE_CORNER);
+        pair.run_for(ms(200));
+        let first = pair.log.up.iter().find_map(|(_, record)| match record {
+            ClientRecord::Request { object: o, want, .. } if *o == object => Some(*want),
+            _ => None,
+        });
+        assert_eq!(first, Some(wanted));
+        assert_eq!(pair.drawn(object), Some(HIDDEN));
     }
 }
