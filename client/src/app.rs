@@ -1,6 +1,6 @@
 //! The `eyeline-client` command: options, what it prints, and how it ends.
 
-use std::io::Write as _;
+use std::io::{IsTerminal as _, Write as _};
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -199,7 +199,8 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
         let ran = run_headless(&mut connection, &mut onlooker, period, first, end).await;
         let stats = *connection.session.stats();
         let (sent, sent_bytes, received, received_bytes) = connection.udp();
-        let (frames, skipped) = ran.as_ref().map_or((0, 0), |summary| (summary.frames, summary.skipped));
+        let skipped = ran.as_ref().map_or(0, |summary| summary.skipped);
+        let frames = connection.session.tracker().map_or(0, |tracker| tracker.stats().frames);
         let rtt = connection.session.round_trip().map_or("unknown".to_owned(), |(rtt, _)| format!("{rtt:.1?}"));
         print(&format!(
             "{frames} frames, {skipped} skipped; {} messages in, {} out; UDP {received} datagrams and \
@@ -299,7 +300,8 @@ pub fn one_line(error: &anyhow::Error) -> String {
 pub fn init_logs() {
     use tracing_subscriber::EnvFilter;
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn,eyeline_client=info".into());
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let colours = std::io::stderr().is_terminal();
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
 }
 
 #[expect(clippy::disallowed_methods, reason = "a driver: it waits for a file")]

@@ -41,3 +41,83 @@ pub fn load(bytes: &[u8], name: &str, welcome: &Welcome, moving_nodes: &BTreeSet
     }
     Ok(scene)
 }
+
+#[cfg(test)]
+mod tests {
+    use eyeline_protocol::{
+        ClassId, ClientId, Issue, ObjectId, RosterEntry, ServerControl, VERSION, WorldInfo, WorldTime, codec,
+    };
+    use eyeline_visibility::{Aabb, DynamicOctree};
+
+    use super::*;
+    use crate::session::{Session, SessionConfig};
+
+    fn welcome(objects: u32, anchor: [f64; 3]) -> Welcome {
+        Welcome {
+            version: VERSION,
+            client: ClientId(1),
+            avatars: Vec::new(),
+            anchor,
+            tick_micros: 50_000,
+            policy: "visible".into(),
+            tracking: true,
+            blur: 1.0,
+            world: WorldInfo { name: "w".into(), hash: [0; 32], size_bytes: 0, two_sided: false },
+            classes: Vec::new(),
+            objects,
+        }
+    }
+
+    /// A model of two nodes without meshes.
+    fn model() -> Vec<u8> {
+        let mut json = br#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0,1]}],
+            "nodes":[{"name":"chair"},{"name":"table"}]}"#
+            .to_vec();
+        json.resize(json.len().next_multiple_of(4), b' ');
+        let mut glb = b"glTF\x02\0\0\0".to_vec();
+        glb.extend((20 + json.len() as u32).to_le_bytes());
+        glb.extend((json.len() as u32).to_le_bytes());
+        glb.extend(b"JSON");
+        glb.extend(json);
+        glb
+    }
+
+    #[test]
+    fn what_moves_is_known_once_the_roster_is_whole() {
+        let mut session =
+            Session::new(SessionConfig::default(), Box::new(|| Box::new(DynamicOctree::new(Aabb::EMPTY))));
+        let mut hear = |message: ServerControl| {
+            session.handle_control(&codec::encode_control(&message)[4..]);
+            session.moving_nodes().map(|nodes| nodes.iter().cloned().collect::<Vec<_>>())
+        };
+        let roster = |object, node: &str| ServerControl::Roster {
+            tick: WorldTime::ZERO,
+            entries: vec![RosterEntry {
+                object: ObjectId(object),
+                class: ClassId(0),
+                name: String::new(),
+                node: node.into(),
+                bound: None,
+                issue: Issue(0),
+                present: true,
+            }],
+        };
+        assert_eq!(hear(ServerControl::Welcome(Box::new(welcome(3, [0.0; 3])))), None);
+        assert_eq!(hear(roster(0, "chair")), None);
+        assert_eq!(hear(roster(1, "")), None);
+        assert_eq!(hear(roster(2, "chair")), Some(vec!["chair".to_owned()]));
+        // An avatar that comes later changes nothing.
+        assert_eq!(hear(roster(3, "door")), Some(vec!["chair".to_owned()]));
+    }
+
+    #[test]
+    fn a_scene_must_fit_what_the_server_says() {
+        let nodes = |name: &str| BTreeSet::from([name.to_owned()]);
+        let scene = load(&model(), "w.glb", &welcome(1, [0.0; 3]), &nodes("chair")).unwrap();
+        assert_eq!(scene.objects().len(), 1);
+        let error = load(&model(), "w.glb", &welcome(1, [0.0; 3]), &nodes("stool")).unwrap_err().to_string();
+        assert!(error.contains("w.glb") && error.contains("stool"), "{error}");
+        let error = load(&model(), "w.glb", &welcome(1, [5.0, 0.0, 0.0]), &nodes("chair")).unwrap_err().to_string();
+        assert!(error.contains("w.glb") && error.contains("anchor"), "{error}");
+    }
+}

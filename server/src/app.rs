@@ -1,7 +1,7 @@
 //! The `eyeline-server` command: options, what it prints, and how it ends. `eyeline-sim serve` is the same.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
+use std::io::{IsTerminal as _, Write as _};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -232,7 +232,8 @@ pub fn init_logs() {
     use tracing_subscriber::EnvFilter;
     let default = || "warn,eyeline_server=info,eyeline_client=info,eyeline_sim=info".into();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| default());
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let colours = std::io::stderr().is_terminal();
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
 }
 
 /// Chance from the system.

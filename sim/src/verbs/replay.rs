@@ -155,11 +155,10 @@ async fn play(options: &Replay, crowd: Crowd, avatars: u16) -> anyhow::Result<()
     let first = connection.clock().now();
     let ran = run_headless(&mut connection, &mut replay, period, first, end).await;
     progress.finish();
-    let frames = ran.as_ref().map_or(0, |summary| summary.frames);
     let rtt = connection.session.round_trip().map_or("unknown".to_owned(), |(rtt, _)| format!("{rtt:.1?}"));
     let (sent, bytes, ..) = connection.udp();
     super::print(&format!(
-        "{frames} frames, {} messages out; {} times somebody came or went; UDP {sent} datagrams and {bytes} bytes out; \
+        "{} messages out; {} times somebody came or went; UDP {sent} datagrams and {bytes} bytes out; \
          round trip {rtt}\n",
         connection.session.stats().records_out,
         replay.moves,
