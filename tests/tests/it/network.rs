@@ -304,3 +304,18 @@ fn two_round_trips_are_not_tried_in_a_frame_soon_after_a_slow_one() {
         assert_eq!(pair.drawn(object), Some(HIDDEN));
     }
 }
+
+#[test]
+fn what_stands_in_sight_is_not_told_again_and_again() {
+    // An acknowledgement waits for the client's next frame; that alone is no loss.
+    for latency in [1, 10, 24, 30, 55, 90, 140] {
+        let mut pair = Pair::builder().latency(ms(latency)).build();
+        let object = pair.spawn(OPEN);
+        pair.run_for(ms(1_500));
+        let told = pair.log.states(object);
+        pair.run_for(ms(3_000));
+        assert_eq!(pair.drawn(object), Some(OPEN));
+        assert_eq!(pair.log.states(object), told, "latency {latency} ms");
+        assert!(told <= 6, "latency {latency} ms: {told}");
+    }
+}
