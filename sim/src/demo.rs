@@ -20,7 +20,7 @@ pub fn run(out: &Path) -> anyhow::Result<String> {
     let config = MeasureConfig::default();
     let rules = RoomsRules { columns: 10, rows: 10, seed: config.seed, ..RoomsRules::default() };
     let stage = Stage::made(&rules)?;
-    measure_all(&stage, None, &config, Net::Quic, &POLICIES, out, "Eyeline demo")
+    measure_all(&stage, None, &config, &Net::Quic, &POLICIES, out, "Eyeline demo")
 }
 
 /// Measures each policy in turn and writes one report; returns the table, the headline and where the report is.
@@ -32,7 +32,7 @@ pub fn measure_all(
     stage: &Stage,
     crowd: Option<&crate::stage::Crowd>,
     config: &MeasureConfig,
-    net: Net,
+    net: &Net,
     policies: &[&str],
     out: &Path,
     title: &str,

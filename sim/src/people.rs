@@ -183,6 +183,14 @@ impl Replay {
         u16::try_from(self.slots.len()).unwrap_or(u16::MAX)
     }
 
+    /// Says who came and who went in the newest frame.
+    pub fn announce(&mut self, session: &mut Session) {
+        for (object, position, present) in self.placing.drain(..) {
+            session.place(object, position, present);
+            self.moves += 1;
+        }
+    }
+
     /// Who is where at `now`: poses of those who stay, and a place for each who came or went.
     fn advance(&mut self, avatars: &[ObjectId], now: LocalTime) -> Vec<Pose> {
         let began = *self.began.get_or_insert(now);
@@ -234,9 +242,6 @@ impl Driver for Replay {
     }
 
     fn frame_done(&mut self, session: &mut Session, _: &FrameReport) {
-        for (object, position, present) in self.placing.drain(..) {
-            session.place(object, position, present);
-            self.moves += 1;
-        }
+        self.announce(session);
     }
 }

@@ -116,6 +116,8 @@ pub struct RunLog {
     pub poses_clamped: u64,
     /// Bounds broken on purpose.
     pub violations: u64,
+    /// In virtual time, a digest of every message that arrived, with its time.
+    pub digest: Option<u64>,
 }
 
 impl RunLog {

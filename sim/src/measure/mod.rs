@@ -9,10 +9,13 @@ mod quic;
 pub mod report;
 mod row;
 mod truth;
+mod virtual_time;
 
 use std::time::Duration;
 
-use eyeline_client::tracking::{Growth, Sabotage};
+use eyeline_client::session::{Session, SessionConfig};
+use eyeline_client::tracking::{Growth, Sabotage, TrackerConfig};
+use eyeline_server::world::WorldConfig;
 use eyeline_visibility::Resolution;
 
 pub use log::{Bursts, ClientLog, Commit, FrameLog, Known, ObjectInfo, RunLog};
@@ -21,12 +24,15 @@ pub use truth::{Truth, judge};
 
 use crate::report::Progress;
 use crate::stage::{Crowd, Stage};
+use crate::virtual_net::LinkRules;
 
 /// How the parts are connected.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub enum Net {
     /// Real QUIC over loopback, in real time.
     Quic,
+    /// A simulated network in virtual time; both directions of each link alike.
+    Sim(LinkRules),
 }
 
 /// Settings of a measurement. Everything that a result depends on.
@@ -52,6 +58,8 @@ pub struct MeasureConfig {
     pub burst_frames: u64,
     /// Least radius within which a hidden object's place is uncertain, metres.
     pub blur: f64,
+    /// Whether preset paths and rest make bounds at the server.
+    pub swept: bool,
     /// Who chooses validity periods.
     pub growth: Growth,
     /// Frames that something must be hidden before updates are declined.
@@ -75,6 +83,7 @@ impl Default for MeasureConfig {
             truth_share: 0.1,
             burst_frames: 20,
             blur: 1.0,
+            swept: true,
             growth: Growth::AtClient,
             linger_frames: 2,
             staged: true,
@@ -88,6 +97,38 @@ impl MeasureConfig {
     pub fn frame(&self) -> Duration {
         Duration::from_micros(1_000_000 / u64::from(self.tick_hz.max(1)))
     }
+
+    fn world(&self, stage: &Stage) -> WorldConfig {
+        WorldConfig::default()
+            .with_tick(self.frame())
+            .with_blur(self.blur)
+            .with_swept(self.swept)
+            .with_grid_seed(self.seed)
+            .with_default_spawn(stage.model.scene.bounds().centre())
+    }
+
+    fn tracker(&self) -> TrackerConfig {
+        TrackerConfig::default()
+            .with_frame(self.frame())
+            .with_growth(self.growth)
+            .with_linger_frames(self.linger_frames)
+            .with_staged(self.staged)
+            .with_sabotage(self.sabotage)
+    }
+
+    fn session(&self, number: usize) -> SessionConfig {
+        let pixels = |side: u32| u16::try_from(side).unwrap_or(u16::MAX);
+        SessionConfig::default()
+            .with_resolution(pixels(self.resolution.width), pixels(self.resolution.height))
+            .with_name(format!("client {number}"))
+            .with_tracker(self.tracker())
+    }
+}
+
+/// What a client knows, for the log.
+fn known_of(session: &Session) -> Vec<Known> {
+    let tracker = session.tracker().into_iter().flat_map(|tracker| tracker.known());
+    tracker.map(|(drawn, is_drawn)| Known { object: drawn.object, position: drawn.position, is_drawn }).collect()
 }
 
 /// Runs one policy and judges it.
@@ -98,11 +139,12 @@ pub fn measure(
     stage: &Stage,
     crowd: Option<&Crowd>,
     config: &MeasureConfig,
-    net: Net,
+    net: &Net,
     policy: &str,
 ) -> anyhow::Result<MeasureRow> {
     let log = match net {
         Net::Quic => quic::run(stage, crowd, config, policy)?,
+        Net::Sim(link) => virtual_time::run(stage, crowd, config, link, policy)?,
     };
     let frames = log.clients.iter().flat_map(|client| &client.frames).filter(|frame| frame.known.is_some()).count();
     let progress = Progress::new(frames as u64, &format!("{policy}: computing the truth"));

@@ -12,13 +12,12 @@ use anyhow::Context;
 use bytes::Bytes;
 use eyeline_client::net::{Connection, Endpoint, Fingerprint, LocalClock, run_headless};
 use eyeline_client::session::{Session, SessionConfig};
-use eyeline_client::tracking::TrackerConfig;
 use eyeline_protocol::{Role, WorldTime};
 use eyeline_server::net::{Handle, Identity, Server, WorldClock};
-use eyeline_server::world::{MessageCounts, WorldConfig};
+use eyeline_server::world::MessageCounts;
 use eyeline_visibility::DynamicOctree;
 
-use super::{Bursts, ClientLog, Commit, FrameLog, Known, MeasureConfig, ObjectInfo, RunLog};
+use super::{Bursts, ClientLog, Commit, FrameLog, MeasureConfig, ObjectInfo, RunLog, known_of};
 use crate::people::{FrameHook, Person, Replay};
 use crate::report::Progress;
 use crate::stage::{Crowd, Stage};
@@ -40,12 +39,7 @@ pub(super) fn run(
     policy: &str,
 ) -> anyhow::Result<RunLog> {
     let clock = WorldClock::starting_at(WorldTime::ZERO);
-    let world_config = WorldConfig::default()
-        .with_tick(config.frame())
-        .with_blur(config.blur)
-        .with_grid_seed(config.seed)
-        .with_default_spawn(stage.model.scene.bounds().centre());
-    let world = stage.world(world_config, policy, clock.now())?;
+    let world = stage.world(config.world(stage), policy, clock.now())?;
     let commits = Arc::new(Mutex::new(Vec::new()));
     let (ready_send, ready) = mpsc::channel();
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
@@ -110,6 +104,7 @@ pub(super) fn run(
         tick_micros,
         poses_clamped,
         violations,
+        digest: None,
     })
 }
 
@@ -139,12 +134,6 @@ async fn run_clients(
 ) -> anyhow::Result<Measured> {
     let clock = LocalClock::default();
     let endpoint = Endpoint::new(Fingerprint(ready.fingerprint), ready.address)?;
-    let tracker = TrackerConfig::default()
-        .with_frame(config.frame())
-        .with_growth(config.growth)
-        .with_linger_frames(config.linger_frames)
-        .with_staged(config.staged)
-        .with_sabotage(config.sabotage);
     let progress = Progress::new(config.clients as u64, &format!("{policy}: clients join"));
     let mut actor = None;
     if let Some(crowd) = crowd {
@@ -155,12 +144,8 @@ async fn run_clients(
     }
     let mut watchers = Vec::new();
     for number in 0..config.clients {
-        let session_config = SessionConfig::default()
-            .with_resolution(config.resolution.width as u16, config.resolution.height as u16)
-            .with_name(format!("client {number}"))
-            .with_tracker(tracker.clone());
         let connection = endpoint
-            .connect(ready.address, session(stage, session_config), clock)
+            .connect(ready.address, session(stage, config.session(number)), clock)
             .await
             .with_context(|| format!("client {number} of {}", config.clients))?;
         watchers.push(connection);
@@ -239,12 +224,7 @@ fn recorder(
             return;
         }
         let mut log = log.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = bursts.contain(log.frames.len() as u64).then(|| {
-            let tracker = session.tracker().into_iter().flat_map(|tracker| tracker.known());
-            tracker
-                .map(|(drawn, is_drawn)| Known { object: drawn.object, position: drawn.position, is_drawn })
-                .collect()
-        });
+        let known = bursts.contain(log.frames.len() as u64).then(|| known_of(session));
         let (round_trip, round_trip_max) = session.round_trip().unwrap_or_default();
         log.frames.push(FrameLog {
             at: world_clock.at(clock.instant(report.began)),

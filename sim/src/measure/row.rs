@@ -65,6 +65,7 @@ pub struct MeasureRow {
     pub requests_resent: u64,
     pub poses_clamped: u64,
     pub violations: u64,
+    pub message_digest: String,
 }
 
 /// What the columns mean.
@@ -99,7 +100,11 @@ pub fn columns() -> Vec<Column> {
         column("releases_per_client_s", "1/s", "of these, objects let go"),
         column("messages_up_per_client_s", "1/s", "messages to the server"),
         column("messages_down_per_client_s", "1/s", "messages from the server"),
-        column("datagrams_per_client_s", "1/s", "UDP datagrams, both ways, QUIC's own included"),
+        column(
+            "datagrams_per_client_s",
+            "1/s",
+            "UDP datagrams, both ways, QUIC's own included; in virtual time those that arrived, QUIC apart",
+        ),
         column("datagrams_up_per_client_s", "1/s", "UDP datagrams to the server"),
         column("datagrams_down_per_client_s", "1/s", "UDP datagrams from the server"),
         column("udp_bytes_per_client_s", "B/s", "UDP payload, both ways"),
@@ -147,6 +152,11 @@ pub fn columns() -> Vec<Column> {
         column("requests_resent", "", "requests sent again because no answer came"),
         column("poses_clamped", "", "poses held back to their motion bound"),
         column("violations", "", "bounds broken on purpose: teleports, entering, leaving"),
+        column(
+            "message_digest",
+            "",
+            "in virtual time, a digest of every message that arrived and when: the same seed gives the same",
+        ),
     ]
 }
 
@@ -225,6 +235,7 @@ pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig) -> Measur
         requests_resent: log.clients.iter().map(|client| client.resent).sum(),
         poses_clamped: log.poses_clamped,
         violations: log.violations,
+        message_digest: log.digest.map_or_else(String::new, |digest| format!("{digest:016x}")),
     }
 }
 

@@ -1,5 +1,6 @@
 //! What can be done from the command line: one file a verb, each with its options and what it prints.
 
+mod measure;
 mod replay;
 mod scene;
 mod serve;
@@ -13,6 +14,9 @@ use clap::Subcommand;
 /// A verb and its options.
 #[derive(Subcommand)]
 pub enum Verb {
+    /// Measure policies side by side: messages, bytes, misses, lateness and disclosure, with the truth beside them
+    #[command(after_long_help = measure::EXAMPLES)]
+    Measure(Box<measure::Measure>),
     /// Make a scene: a .glb with its world file
     #[command(subcommand, after_long_help = scene::EXAMPLES)]
     Scene(scene::Scene),
@@ -30,6 +34,7 @@ pub enum Verb {
 /// Runs a verb.
 pub fn run(verb: &Verb) -> anyhow::Result<()> {
     match verb {
+        Verb::Measure(options) => measure::run(options),
         Verb::Scene(options) => scene::run(options),
         Verb::Serve(options) => serve::run(options),
         Verb::Swarm(options) => swarm::run(options),

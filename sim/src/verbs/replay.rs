@@ -64,7 +64,8 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim replay --server-file out/ready.txt --trace crowd.txt --trace-origin 12,0,-3 --trace-heading 1.57
   eyeline-sim replay --connect 127.0.0.1:4433 --fingerprint 11c4…d6b9 --trace crowd.txt --world rooms.glb --seconds 60";
 
-fn point(text: &str) -> Result<DVec3, String> {
+/// Three numbers.
+pub fn point(text: &str) -> Result<DVec3, String> {
     let parsed: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
     match parsed.as_deref() {
         Some(&[x, y, z]) if [x, y, z].iter().all(|x| x.abs() <= 2e6) => Ok(DVec3::new(x, y, z)),

@@ -1,0 +1,250 @@
+//! The same run in virtual time: a seed decides every delay and loss, and the same seed gives the same messages at the
+//! same virtual microsecond.
+
+// This is a driver: it may read the clock, to say what culling cost. Nothing else depends on it.
+#![expect(clippy::disallowed_methods)]
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+
+use eyeline_client::net::Driver;
+use eyeline_client::session::{FrameTime, Session, SessionConfig};
+use eyeline_protocol::{LocalTime, ObjectId, Role, WorldTime};
+use eyeline_server::world::World;
+use eyeline_visibility::{DynamicOctree, Occlusion};
+use glam::DVec3;
+
+use super::{Bursts, ClientLog, Commit, FrameLog, MeasureConfig, ObjectInfo, RunLog, known_of};
+use crate::people::{Person, Replay};
+use crate::report::Progress;
+use crate::stage::{Crowd, Stage};
+use crate::virtual_net::{
+    ClientDriver, ClientPlan, Direction, Framed, Kind, LinkRules, Observer, Passing, Pose, VirtualRun,
+};
+
+/// The virtual microsecond at which a run begins; true time and a driver's clock are the same.
+const BEGIN: WorldTime = WorldTime::from_micros(1_000_000);
+
+pub(super) fn run(
+    stage: &Stage,
+    crowd: Option<&Crowd>,
+    config: &MeasureConfig,
+    link: &LinkRules,
+    policy: &str,
+) -> anyhow::Result<RunLog> {
+    let world = stage.world(config.world(stage), policy, BEGIN)?;
+    let mut run = VirtualRun::new(world, config.seed, BEGIN);
+    let bounds = stage.model.scene.bounds();
+    let index = || Box::new(move || Box::new(DynamicOctree::new(bounds)) as Box<_>);
+    let actor = crowd.map(|crowd| {
+        let replay = Replay::new(crowd.clone(), stage.anchor(), 0.0);
+        let session = SessionConfig::default()
+            .with_tracker(config.tracker())
+            .with_role(Role::Actor { avatars: replay.avatars() })
+            .with_name("replay");
+        let plan = ClientPlan::new(session, link.clone()).with_phase(Duration::ZERO);
+        run.join(plan, Box::new(Acting(replay)), index())
+    });
+    let costs: Vec<_> = (0..config.clients).map(|_| Rc::new(RefCell::new(Cost::default()))).collect();
+    let mut numbers = Vec::new();
+    for (number, cost) in costs.iter().enumerate() {
+        let person = Person::new(stage, config.seed, number, config.side, None);
+        let session = config.session(number);
+        let phase = config.frame() * number as u32 / config.clients.max(1) as u32;
+        let plan = ClientPlan::new(session, link.clone()).with_phase(phase);
+        let watching = Watching { person, cost: cost.clone(), anchor: stage.anchor() };
+        numbers.push(run.join(plan, Box::new(watching), index()));
+    }
+    let mut recorder = Recorder {
+        config,
+        start: BEGIN + config.warm_up,
+        numbers,
+        costs,
+        commits: Vec::new(),
+        clients: vec![ClientLog::default(); config.clients],
+        actor_poses: 0,
+        actor,
+    };
+    let progress =
+        Progress::new((config.warm_up + config.window).as_millis() as u64, &format!("{policy}: virtual time"));
+    let step = Duration::from_millis(250);
+    let mut before = *run.world().stats();
+    let end = recorder.start + config.window;
+    while run.now() < end {
+        let next = (run.now() + step).min(if run.now() < recorder.start { recorder.start } else { end });
+        let passed = next.since(run.now());
+        run.run_until(next, &mut recorder);
+        if next == recorder.start {
+            before = *run.world().stats();
+            for (log, number) in recorder.clients.iter_mut().zip(&recorder.numbers) {
+                log.resent = run.clients()[*number].session.tracker().map_or(0, |tracker| tracker.stats().resent);
+            }
+        }
+        progress.inc(passed.as_millis() as u64);
+    }
+    progress.finish();
+    for (log, number) in recorder.clients.iter_mut().zip(&recorder.numbers) {
+        let client = &run.clients()[*number];
+        anyhow::ensure!(client.is_connected(), "client {number} lost its connection: {:?}", client.closed());
+        log.avatar = client.avatar().unwrap_or_default();
+        let resent = client.session.tracker().map_or(0, |tracker| tracker.stats().resent);
+        log.resent = resent.saturating_sub(log.resent);
+    }
+    let after = *run.world().stats();
+    let mut up = after.messages_in.since(&before.messages_in);
+    up.poses = up.poses.saturating_sub(recorder.actor_poses);
+    let info = |object: &eyeline_server::world::Object| ObjectInfo { class: object.class, node: object.node.clone() };
+    Ok(RunLog {
+        policy: policy.to_owned(),
+        net: "sim",
+        window: config.window,
+        commits: recorder.commits,
+        classes: run.world().classes().to_vec(),
+        objects: run.world().objects().iter().map(info).collect(),
+        clients: recorder.clients,
+        up,
+        down: after.out.since(&before.out),
+        server_work: Duration::ZERO,
+        turnaround: Duration::ZERO,
+        tick_micros: Vec::new(),
+        poses_clamped: after.poses_clamped - before.poses_clamped,
+        violations: after.violations - before.violations,
+        digest: Some(run.digest()),
+    })
+}
+
+/// What a person's newest frame was like.
+#[derive(Default)]
+struct Cost {
+    cull: Duration,
+    yaw: f64,
+    received: Vec<ObjectId>,
+}
+
+/// A person in virtual time.
+struct Watching {
+    person: Person,
+    cost: Rc<RefCell<Cost>>,
+    anchor: DVec3,
+}
+
+impl ClientDriver for Watching {
+    fn poses(&mut self, session: &Session, at: WorldTime, poses: &mut Vec<Pose>) {
+        let pose = self.person.advance(session, LocalTime::from_micros(at.micros()));
+        poses.extend(pose.map(|pose| Pose {
+            object: pose.object,
+            position: pose.position,
+            orientation: pose.orientation,
+        }));
+    }
+
+    fn cull(&mut self) {
+        let started = Instant::now();
+        self.person.cull();
+        let mut cost = self.cost.borrow_mut();
+        cost.cull = started.elapsed();
+        cost.yaw = self.person.pose().yaw;
+    }
+
+    fn occlusion(&self) -> Option<&dyn Occlusion> {
+        self.person.occlusion()
+    }
+
+    fn frame_done(&mut self, session: &mut Session, _: Option<FrameTime>, _: WorldTime) {
+        self.cost.borrow_mut().received = session.take_states_received();
+    }
+
+    fn eye(&self) -> Option<DVec3> {
+        Some(self.person.pose().eye - self.anchor)
+    }
+}
+
+/// A recorded crowd in virtual time.
+struct Acting(Replay);
+
+impl ClientDriver for Acting {
+    fn poses(&mut self, session: &Session, at: WorldTime, poses: &mut Vec<Pose>) {
+        let now = LocalTime::from_micros(at.micros());
+        poses.extend(self.0.poses(session, now).into_iter().map(|pose| Pose {
+            object: pose.object,
+            position: pose.position,
+            orientation: pose.orientation,
+        }));
+    }
+
+    fn occlusion(&self) -> Option<&dyn Occlusion> {
+        None
+    }
+
+    fn frame_done(&mut self, session: &mut Session, _: Option<FrameTime>, _: WorldTime) {
+        self.0.announce(session);
+    }
+}
+
+/// Notes what a real run's recorders note.
+struct Recorder<'a> {
+    config: &'a MeasureConfig,
+    start: WorldTime,
+    numbers: Vec<usize>,
+    costs: Vec<Rc<RefCell<Cost>>>,
+    commits: Vec<Commit>,
+    clients: Vec<ClientLog>,
+    actor_poses: u64,
+    actor: Option<usize>,
+}
+
+impl Recorder<'_> {
+    fn watcher(&self, client: usize) -> Option<usize> {
+        self.numbers.binary_search(&client).ok()
+    }
+}
+
+impl Observer for Recorder<'_> {
+    fn committed(&mut self, world: &World, _: WorldTime) {
+        self.commits.push(Commit::of(world));
+    }
+
+    fn framed(&mut self, frame: &Framed<'_>) {
+        let Some(watcher) = self.watcher(frame.client) else { return };
+        if frame.at < self.start {
+            return;
+        }
+        let bursts = Bursts::new(self.config.burst_frames, self.config.truth_share, watcher as u64);
+        let log = &mut self.clients[watcher];
+        let Cost { cull, yaw, received } = std::mem::take(&mut *self.costs[watcher].borrow_mut());
+        let (round_trip, round_trip_max) = frame.session.round_trip().unwrap_or_default();
+        let known = bursts.contain(log.frames.len() as u64).then(|| known_of(frame.session));
+        log.frames.push(FrameLog {
+            at: frame.at,
+            eye: frame.eye.unwrap_or_default(),
+            yaw,
+            cull,
+            track: Duration::ZERO,
+            late: Duration::ZERO,
+            round_trip_max,
+            round_trip,
+            known,
+            received,
+        });
+    }
+
+    fn arrives(&mut self, message: &Passing<'_>) {
+        if message.at < self.start || message.kind != Kind::Datagram {
+            return;
+        }
+        if Some(message.client) == self.actor {
+            if let Ok((_, records)) = eyeline_protocol::codec::decode_client_datagram(message.bytes)
+                && message.direction == Direction::Up
+            {
+                self.actor_poses += records.len() as u64;
+            }
+            return;
+        }
+        let Some(watcher) = self.watcher(message.client) else { return };
+        let udp = &mut self.clients[watcher].udp;
+        let first = if message.direction == Direction::Up { 0 } else { 2 };
+        udp[first] += 1;
+        udp[first + 1] += message.bytes.len() as u64;
+    }
+}

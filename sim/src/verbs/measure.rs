@@ -1,0 +1,221 @@
+//! `measure`: policies side by side, with the truth beside them.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use eyeline_client::tracking::{Growth, Sabotage};
+use eyeline_server::app::number;
+use eyeline_sim::demo;
+use eyeline_sim::measure::{MeasureConfig, Net};
+use eyeline_sim::scene::plan::RoomsRules;
+use eyeline_sim::stage::{POLICIES, Stage};
+use eyeline_sim::trace::{Placement, Trace};
+use eyeline_sim::virtual_net::LinkRules;
+use eyeline_visibility::Resolution;
+use glam::DVec3;
+
+use super::replay::point;
+
+/// Options of `measure`.
+#[derive(Args)]
+pub struct Measure {
+    /// The model: a .glb or .gltf. What moves in it is said by NAME.world.toml beside it; avatars stand at the places of
+    /// NAME.places.json, or walk if NAME.rooms.json is there
+    #[arg(long, value_name = "FILE", conflicts_with = "rooms")]
+    world: Option<PathBuf>,
+
+    /// What moves, if not in NAME.world.toml
+    #[arg(long, value_name = "FILE", requires = "world")]
+    world_file: Option<PathBuf>,
+
+    /// Instead of a file, a made building of so many furnished rooms
+    #[arg(long, value_name = "COLUMNSxROWS", default_value = "10x10", value_parser = columns_by_rows)]
+    rooms: (u32, u32),
+
+    /// A recorded crowd that walks through the world besides
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
+
+    /// Where the recording's origin lies in the world, metres [default: its middle at the most central place]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "trace", value_parser = point)]
+    trace_origin: Option<DVec3>,
+
+    /// Turn of the recording about +Y, radians
+    #[arg(long, value_name = "RADIANS", default_value_t = 0.0, allow_hyphen_values = true, requires = "trace_origin",
+        value_parser = number(-7.0..=7.0, "radians"))]
+    trace_heading: f64,
+
+    /// World metres a recorded metre
+    #[arg(long, value_name = "SCALE", default_value_t = 1.0, requires = "trace_origin",
+        value_parser = number(0.001..=1000.0, ""))]
+    trace_scale: f64,
+
+    /// Policies to compare, in this order: visible, broadcast, oracle
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "visible,broadcast,oracle",
+        value_parser = POLICIES)]
+    policies: Vec<String>,
+
+    /// Watching clients [default: 32, or as many as the world has places if that is less]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    clients: Option<u32>,
+
+    /// Decides motion, starts, the network in virtual time and the choice of frames
+    #[arg(long, value_name = "N", default_value_t = 7)]
+    seed: u64,
+
+    /// Measured time, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = number(0.5..=86_400.0, "s"))]
+    seconds: f64,
+
+    /// Time that is run first and not measured, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, value_parser = number(0.1..=3600.0, "s"))]
+    warm_up: f64,
+
+    /// Ticks and frames a second, Hz
+    #[arg(long, value_name = "HZ", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=240))]
+    tick_hz: u32,
+
+    /// Size of the frames, pixels; they are 90° across
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "320x240", value_parser = resolution)]
+    resolution: Resolution,
+
+    /// quic: real QUIC over loopback in real time. sim: a simulated network in virtual time
+    #[arg(long, value_enum, default_value_t = NetName::Quic)]
+    net: NetName,
+
+    /// Round trip of the simulated network, milliseconds
+    #[arg(long, value_name = "MS", default_value_t = 0.5, value_parser = number(0.0..=10_000.0, "ms"))]
+    rtt: f64,
+
+    /// Jitter of the simulated network, milliseconds, each way
+    #[arg(long, value_name = "MS", default_value_t = 0.0, value_parser = number(0.0..=10_000.0, "ms"))]
+    jitter: f64,
+
+    /// Share of datagrams that the simulated network loses, 0 to 1, each way
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = number(0.0..=0.9, ""))]
+    loss: f64,
+
+    /// Least radius within which a hidden object's place stays uncertain, metres
+    #[arg(long, value_name = "METRES", default_value_t = 1.0, value_parser = number(0.0..=1000.0, "m"))]
+    blur: f64,
+
+    /// Bound what follows a preset path, and what nobody moves, by its class's speed only
+    #[arg(long)]
+    no_swept: bool,
+
+    /// A fixed validity period, as in the paper, milliseconds [default: bounds grow at the client]
+    #[arg(long, value_name = "MS", value_parser = number(1.0..=3.6e6, "ms"))]
+    fixed_validity: Option<f64>,
+
+    /// Ask for states at once where a fresh bound might do
+    #[arg(long)]
+    no_staged: bool,
+
+    /// Frames that something must be hidden before updates are declined
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    linger_frames: u32,
+
+    /// Pixels a side of the six images that decide what is hidden
+    #[arg(long, value_name = "PIXELS", default_value_t = 128, value_parser = clap::value_parser!(u32).range(8..=1024))]
+    side: u32,
+
+    /// Share of frames that the truth is computed for, 0 to 1
+    #[arg(long, value_name = "SHARE", default_value_t = 0.1, value_parser = number(0.0..=1.0, ""))]
+    truth_share: f64,
+
+    /// Break the trackers on purpose: drop-exposures, late-one-tick or freeze-clock. The report must show misses
+    #[arg(long, value_name = "HOW")]
+    sabotage: Option<Sabotage>,
+
+    /// Folder for report.html, report.json and report.csv
+    #[arg(long, value_name = "DIR", default_value = "out/measure")]
+    out: PathBuf,
+}
+
+/// How the parts are connected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum NetName {
+    /// Real QUIC over loopback, in real time
+    Quic,
+    /// A simulated network in virtual time: the same seed gives the same messages
+    Sim,
+}
+
+pub const EXAMPLES: &str = "Examples:
+  eyeline-sim measure --world oa_dm2.glb --trace students03_obsmat.txt --seconds 20 --out out/dm2
+  eyeline-sim measure --rooms 16x16 --clients 64 --net sim --rtt 50 --jitter 10 --loss 0.02
+  eyeline-sim measure --policies visible --sabotage drop-exposures      (must show misses)";
+
+fn pair(text: &str) -> Option<(u32, u32)> {
+    let (a, b) = text.split_once(['x', '×'])?;
+    Some((a.trim().parse().ok()?, b.trim().parse().ok()?))
+}
+
+fn columns_by_rows(text: &str) -> Result<(u32, u32), String> {
+    let rooms = pair(text).filter(|&(columns, rows)| (1..=200).contains(&columns) && (1..=200).contains(&rows));
+    rooms.ok_or_else(|| "give columns and rows from 1 to 200, as in 10x10".to_owned())
+}
+
+fn resolution(text: &str) -> Result<Resolution, String> {
+    let size = pair(text).filter(|&(width, height)| (1..=8192).contains(&width) && (1..=8192).contains(&height));
+    let size = size.ok_or_else(|| "give width and height from 1 to 8192 pixels, as in 320x240".to_owned())?;
+    Ok(Resolution::new(size.0, size.1))
+}
+
+/// Measures.
+pub fn run(options: &Measure) -> anyhow::Result<()> {
+    let mut stage = match &options.world {
+        Some(world) => Stage::load(world, options.world_file.as_deref())?,
+        None => {
+            let (columns, rows) = options.rooms;
+            Stage::made(&RoomsRules { columns, rows, seed: options.seed, ..RoomsRules::default() })?
+        }
+    };
+    let mut crowd = None;
+    if let Some(file) = &options.trace {
+        let trace = Trace::read(file)?;
+        let origin = options.trace_origin;
+        let placement =
+            origin.map(|origin| Placement { origin, heading: options.trace_heading, scale: options.trace_scale });
+        let (with_crowd, placed) = stage.with_crowd(trace, placement).with_context(|| file.display().to_string())?;
+        stage = with_crowd;
+        crowd = Some(placed);
+    }
+    let clients =
+        options.clients.map_or_else(|| stage.model.spec.spawns.len().clamp(1, 32), |clients| clients as usize);
+    let config = MeasureConfig {
+        clients,
+        seed: options.seed,
+        warm_up: Duration::from_secs_f64(options.warm_up),
+        window: Duration::from_secs_f64(options.seconds),
+        tick_hz: options.tick_hz,
+        resolution: options.resolution,
+        side: options.side,
+        truth_share: options.truth_share,
+        blur: options.blur,
+        swept: !options.no_swept,
+        growth: options
+            .fixed_validity
+            .map_or(Growth::AtClient, |millis| Growth::FixedPeriod(Duration::from_secs_f64(millis * 1e-3))),
+        linger_frames: options.linger_frames,
+        staged: !options.no_staged,
+        sabotage: options.sabotage,
+        ..MeasureConfig::default()
+    };
+    let millis = |value: f64| Duration::from_secs_f64(value * 1e-3);
+    let net = match options.net {
+        NetName::Quic => Net::Quic,
+        NetName::Sim => Net::Sim(
+            LinkRules::default()
+                .with_delay(millis(options.rtt / 2.0))
+                .with_jitter(millis(options.jitter))
+                .with_loss(options.loss),
+        ),
+    };
+    let policies: Vec<&str> = options.policies.iter().map(String::as_str).collect();
+    let text = demo::measure_all(&stage, crowd.as_ref(), &config, &net, &policies, &options.out, "Eyeline measure")?;
+    super::print(&text);
+    Ok(())
+}
