@@ -170,6 +170,11 @@ impl Town {
         self.run.cut(client);
     }
 
+    /// What it is like.
+    pub fn rules(&self) -> &TownRules {
+        &self.rules
+    }
+
     /// Lets time pass.
     pub fn run_for(&mut self, span: Duration) {
         self.run.run_for(span, &mut self.truth);

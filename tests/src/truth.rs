@@ -7,7 +7,7 @@ use std::time::Duration;
 use eyeline_protocol::{ClientRecord, Issue, ObjectId, ServerRecord, WorldTime, codec};
 use eyeline_server::world::{Object, World};
 use eyeline_sim::virtual_net::{Direction, Framed, Kind, LinkRules, Observer, Passing};
-use eyeline_visibility::Aabb;
+use eyeline_visibility::{Aabb, Bound};
 use glam::DVec3;
 
 use crate::index::IndexView;
@@ -235,10 +235,10 @@ impl Truth {
                         let radius = tbv.radius_at(at);
                         fail(format!("{id}: is {distance} m from its bound's centre, whose radius is {radius} m"));
                     }
-                    if let Some(inserted) = watcher.view.bound(id.0).and_then(|bound| bound.aabb())
-                        && !inserted.contains_box(&shape(frame.world, object, place))
+                    if let Some(inserted) = watcher.view.bound(id.0)
+                        && !holds(&inserted, frame.world, object, place)
                     {
-                        fail(format!("{id}: at {place} is not in the box that T holds, {inserted:?}"));
+                        fail(format!("{id}: at {place} is not in the bound that T holds, {inserted:?}"));
                     }
                 }
             }
@@ -270,7 +270,8 @@ impl Truth {
             // What is drawn is not older than what a push takes.
             if let Some(&tick) = drawn.get(&id) {
                 self.states_checked += 1;
-                let allowed = watcher.allowance.round_trip_max() + 2 * frame_period + for_losses;
+                // Two rounds where the place was asked for first, and updates after it.
+                let allowed = 2 * watcher.allowance.round_trip_max() + 2 * frame_period + for_losses;
                 let due = past.changes.iter().rev().find(|&&(_, committed)| committed + allowed < at);
                 if let Some(&(changed, committed)) = due
                     && tick < changed
@@ -285,11 +286,24 @@ impl Truth {
     }
 }
 
-/// The box of an upright cylinder at `place`.
-fn shape(world: &World, object: &Object, place: DVec3) -> Aabb {
+/// Whether the object's upright cylinder lies in `bound` when its reference point is at `place`.
+fn holds(bound: &Bound, world: &World, object: &Object, place: DVec3) -> bool {
     let extent = world.classes()[usize::from(object.class.0)].extent;
     let side = extent.radius;
-    Aabb::new(place + DVec3::new(-side, extent.bottom, -side), place + DVec3::new(side, extent.top, side))
+    let min = place + DVec3::new(-side, extent.bottom, -side);
+    let max = place + DVec3::new(side, extent.top, side);
+    let across = |centre: DVec3| (place - centre).with_y(0.0).length() + side;
+    match *bound {
+        Bound::Box(aabb) => aabb.contains_box(&Aabb::new(min, max)),
+        Bound::Sphere { centre, radius } => {
+            let up = (max.y - centre.y).abs().max((min.y - centre.y).abs());
+            across(centre).hypot(up) <= radius
+        }
+        Bound::Upright { centre, radius, half_height } => {
+            across(centre) <= radius && min.y >= centre.y - half_height && max.y <= centre.y + half_height
+        }
+        Bound::Everywhere => true,
+    }
 }
 
 impl Observer for Truth {

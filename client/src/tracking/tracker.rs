@@ -640,7 +640,8 @@ impl Tracker {
         // A fresh bound helps only if it is a good deal tighter than this one has become.
         let entry = &self.entries[&object];
         let fresh = self.blur + self.classes[entry.class].motion.slack;
-        let gains = tbv.radius_at(self.latest) > 1.25 * fresh + 0.05;
+        // One that does not grow would come back the same, again and again.
+        let gains = tbv.speed > 0.0 && tbv.radius_at(self.latest) > 1.25 * fresh + 0.05;
         // A place comes as soon as a state would, so that it is never later; updates follow if it is in sight.
         let want = if self.is_staged() && gains { Want::Bound } else { Want::Place };
         self.ask(object, want, Reason::Exposed);

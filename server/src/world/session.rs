@@ -57,6 +57,8 @@ pub(super) struct Session {
     pub bounds_due: BTreeSet<ObjectId>,
     pub violations: BTreeMap<ObjectId, Violation>,
     link: Link<Carried>,
+    /// For how long the client lets an acknowledgement wait, lately at most: it acknowledges with its next frame.
+    hold_max: Duration,
     subscriptions: BTreeMap<ObjectId, Subscription>,
     states_due: BTreeSet<ObjectId>,
     hidden_due: BTreeSet<ObjectId>,
@@ -64,6 +66,9 @@ pub(super) struct Session {
 
 /// What every path carries in a QUIC datagram (RFC 9000 §14: 1,200-byte packets), until the driver says better.
 const DATAGRAM_LIMIT_DEFAULT: usize = 1150;
+
+/// More than this is not waited for, whatever a client says.
+const HOLD_MAX: Duration = Duration::from_millis(500);
 
 impl Session {
     pub fn new(now: WorldTime) -> Session {
@@ -77,6 +82,7 @@ impl Session {
             bounds_due: BTreeSet::new(),
             violations: BTreeMap::new(),
             link: Link::default(),
+            hold_max: Duration::ZERO,
             subscriptions: BTreeMap::new(),
             states_due: BTreeSet::new(),
             hidden_due: BTreeSet::new(),
@@ -87,6 +93,8 @@ impl Session {
     pub fn receive(&mut self, header: &LinkHeader, now: LocalTime) -> bool {
         let mut lost = Vec::new();
         let arrival = self.link.receive(header, now, |_| (), |carried| lost.push(carried));
+        let hold = Duration::from_micros(u64::from(header.hold_micros)).min(HOLD_MAX);
+        self.hold_max = hold.max(self.hold_max - self.hold_max / 16);
         for carried in lost {
             self.send_again(carried);
         }
@@ -109,7 +117,8 @@ impl Session {
     /// Gives up datagrams that were never acknowledged.
     pub fn expire(&mut self, now: LocalTime, objects: &[Object]) {
         let mut lost = Vec::new();
-        self.link.expire(now, |carried| lost.push(carried));
+        // The round trip leaves out what the client held its acknowledgement for; without it all that it holds would be lost.
+        self.link.expire(now - self.hold_max, |carried| lost.push(carried));
         for carried in lost {
             self.send_again(carried);
         }
