@@ -74,5 +74,5 @@ pub use time::{LocalTime, WorldTime};
 /// Version of everything in this crate. Peers with different versions part at hello.
 pub const VERSION: u16 = 1;
 
-/// ALPN protocol name offered in the TLS handshake.
-pub const ALPN: &[u8] = b"eyeline/1";
+/// ALPN protocol name offered in the TLS handshake. It names no version: a peer of another one is to hear so in words.
+pub const ALPN: &[u8] = b"eyeline";

@@ -27,7 +27,6 @@ pub fn run(out: &Path) -> anyhow::Result<String> {
 ///
 /// # Errors
 /// If the network or the disk does not let it.
-#[expect(clippy::too_many_arguments, reason = "each is a choice of the caller's; a struct would only rename them")]
 pub fn measure_all(
     stage: &Stage,
     crowd: Option<&crate::stage::Crowd>,

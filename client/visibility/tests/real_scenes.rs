@@ -85,7 +85,7 @@ fn real_scenes_are_culled_without_error() {
                 }
             }
         }
-        let [frustum, cplp] = drawn.map(|drawn| drawn / 100);
+        let [frustum, cplp] = drawn.map(|drawn| drawn / 200);
         let name = file.file_stem().unwrap_or_default().display();
         eprintln!("{name}: {} triangles; VF-BF {frustum}, cPLP {cplp} per view", scene.triangles().len());
     }

@@ -186,7 +186,7 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
         }
         if place_in_burst == 1 {
             painter.judge_disclosure(image, log, client, number, &mut truth);
-            if client % 8 == 0 {
+            if client.is_multiple_of(8) {
                 painter.draw(image, &view, commit, client_log.avatar);
                 painter.check_pixels(image, &view, commit, client_log.avatar, &mut truth);
             }

@@ -43,7 +43,7 @@ pub(super) fn run(
             .with_tracker(config.tracker())
             .with_role(Role::Actor { avatars: replay.avatars() })
             .with_name("replay");
-        let plan = ClientPlan::new(session, link.clone()).with_phase(Duration::ZERO);
+        let plan = ClientPlan::new(session, *link).with_phase(Duration::ZERO);
         run.join(plan, Box::new(Acting(replay)), index())
     });
     let costs: Vec<_> = (0..config.clients).map(|_| Rc::new(RefCell::new(Cost::default()))).collect();
@@ -52,7 +52,7 @@ pub(super) fn run(
         let person = Person::new(stage, config.seed, number, config.side, None);
         let session = config.session(number);
         let phase = config.frame() * number as u32 / config.clients.max(1) as u32;
-        let plan = ClientPlan::new(session, link.clone()).with_phase(phase);
+        let plan = ClientPlan::new(session, *link).with_phase(phase);
         let watching = Watching { person, cost: cost.clone(), anchor: stage.anchor() };
         numbers.push(run.join(plan, Box::new(watching), index()));
     }
