@@ -214,6 +214,13 @@ impl Session {
         }
     }
 
+    /// Acts on what control messages brought, with the newest frame's `occlusion`, instead of at the next frame.
+    pub fn handle_news(&mut self, occlusion: &dyn Occlusion) {
+        if let Some(tracker) = self.tracker.as_mut().filter(|tracker| tracker.stats().frames > 0) {
+            tracker.handle_news(occlusion);
+        }
+    }
+
     /// One datagram. With the newest frame's `occlusion` answers are acted on at once.
     pub fn handle_datagram(&mut self, bytes: &[u8], occlusion: Option<&dyn Occlusion>, now: LocalTime) {
         let Some(tracker) = &mut self.tracker else { return };

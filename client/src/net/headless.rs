@@ -83,9 +83,12 @@ pub async fn run_headless(
             biased;
             () = &mut shutdown => return Ok(summary),
             arrival = connection.arrive() => {
-                if let Arrival::Datagram(bytes) = arrival? {
-                    let now = clock.now();
-                    connection.session.handle_datagram(&bytes, driver.occlusion(), now);
+                match (arrival?, driver.occlusion()) {
+                    (Arrival::Datagram(bytes), occlusion) => {
+                        connection.session.handle_datagram(&bytes, occlusion, clock.now());
+                    }
+                    (Arrival::Control, Some(occlusion)) => connection.session.handle_news(occlusion),
+                    (Arrival::Control, None) => {}
                 }
                 connection.flush_urgent();
             }

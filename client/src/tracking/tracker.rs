@@ -50,6 +50,8 @@ struct Ask {
     reason: Reason,
     sent_at: Option<LocalTime>,
     not_before: Option<u64>,
+    /// Whether it waits in the queue of what is to be said.
+    is_unsaid: bool,
     /// Tells this question from an earlier one about the same object.
     number: u64,
     /// Whether the server is known to have got it.
@@ -114,6 +116,8 @@ pub struct Tracker {
     /// States that overtook the roster that names their object, where the server decides what is told.
     early: BTreeMap<ObjectId, State>,
     out: VecDeque<ClientRecord>,
+    /// Objects with a question that is to be said next, in order. Those whose question has gone are passed over.
+    unsaid: VecDeque<ObjectId>,
     exposed: Vec<u32>,
     /// Latest possible server time at the newest frame.
     latest: WorldTime,
@@ -146,6 +150,7 @@ impl Tracker {
             violations: BTreeMap::new(),
             early: BTreeMap::new(),
             out: VecDeque::new(),
+            unsaid: VecDeque::new(),
             exposed: Vec::new(),
             latest: WorldTime::MIN,
             round_trip: None,
@@ -221,6 +226,15 @@ impl Tracker {
             Some(bound) => self.hold(entry.object, bound.tbv(tick)),
             None if newer.is_some() && !self.is_staged() => self.ask(entry.object, Want::State, Reason::Violated),
             None => self.ask(entry.object, Want::Bound, Reason::Unknown),
+        }
+        self.debug_check();
+    }
+
+    /// Acts on bounds that came since the newest frame, whose `occlusion` this is, instead of at the next one: what has
+    /// just come into the world may be in sight.
+    pub fn handle_news(&mut self, occlusion: &dyn Occlusion) {
+        while let Some(&(WorldTime::MIN, object)) = self.queue.first() {
+            self.settle(object, occlusion);
         }
         self.debug_check();
     }
@@ -415,6 +429,7 @@ impl Tracker {
     pub fn frame(&mut self, latest: WorldTime, occlusion: &dyn Occlusion, now: LocalTime) {
         self.stats.frames += 1;
         self.latest = self.latest.max(latest);
+        self.ask_again(now);
         if !self.tracking {
             // Every object every frame: the baseline without bounds. What is hidden is known all the same.
             self.test_visible(occlusion, now);
@@ -660,8 +675,13 @@ impl Tracker {
         if let Some(entry) = self.entries.get_mut(&object) {
             let not_before = late.then_some(self.stats.frames + 1);
             self.asks += 1;
-            entry.ask = Some(Ask { want, reason, sent_at: None, not_before, number: self.asks, heard: false });
+            let is_unsaid = !late;
+            entry.ask =
+                Some(Ask { want, reason, sent_at: None, not_before, is_unsaid, number: self.asks, heard: false });
             self.asked.insert(object);
+            if is_unsaid {
+                self.unsaid.push_back(object);
+            }
         }
     }
 
@@ -693,20 +713,30 @@ impl Tracker {
         if let Some(record) = self.out.pop_front() {
             return Some(record);
         }
+        while let Some(object) = self.unsaid.pop_front() {
+            // Answered meanwhile, or asked for something else, which stands further back.
+            let ask = self.entries.get_mut(&object).and_then(|entry| entry.ask.as_mut());
+            let Some(ask) = ask.filter(|ask| ask.is_unsaid) else { continue };
+            ask.is_unsaid = false;
+            ask.sent_at = Some(now);
+            return Some(ClientRecord::Request { object, want: ask.want, reason: ask.reason });
+        }
+        None
+    }
+
+    /// Puts questions that have waited too long for an answer, or were held back, where they are said next.
+    fn ask_again(&mut self, now: LocalTime) {
         let frames = self.stats.frames;
         for &object in &self.asked {
             let Some(ask) = self.entries.get_mut(&object).and_then(|entry| entry.ask.as_mut()) else { continue };
-            if ask.not_before.is_some_and(|frame| frames < frame) {
-                continue;
-            }
-            let is_due = ask.sent_at.is_none_or(|at| now.since(at) > self.timeout);
-            if is_due {
-                self.stats.resent += u64::from(ask.sent_at.is_some());
-                ask.sent_at = Some(now);
-                return Some(ClientRecord::Request { object, want: ask.want, reason: ask.reason });
+            let is_lost = ask.sent_at.is_some_and(|at| now.since(at) > self.timeout);
+            let is_late = ask.sent_at.is_none() && ask.not_before.is_some_and(|frame| frames >= frame);
+            if !ask.is_unsaid && (is_lost || is_late) {
+                self.stats.resent += u64::from(is_lost);
+                ask.is_unsaid = true;
+                self.unsaid.push_back(object);
             }
         }
-        None
     }
 
     /// What the client knows the place of, by id: V. The second part says whether it is drawn in the newest frame, that

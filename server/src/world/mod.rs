@@ -294,13 +294,20 @@ impl World {
         };
         self.say(id, &ServerControl::Welcome(Box::new(welcome)));
         for piece in others.chunks(ServerControl::ROSTER_MAX) {
-            let message = self.roster(piece, Some(slot));
+            let message = self.roster(piece, &[slot]);
             self.stats.out.roster += piece.len() as u64;
             self.say(id, &message);
         }
+        let watching: Vec<usize> = self
+            .sessions
+            .values()
+            .filter_map(|session| match session.phase {
+                Phase::Live { slot, watches: true } => Some(slot),
+                _ => None,
+            })
+            .collect();
         for piece in avatars.chunks(ServerControl::ROSTER_MAX) {
-            // No bounds for the others: the newcomer has just appeared, which nobody could have waited for.
-            let message = codec::encode_control(&self.roster(piece, None));
+            let message = codec::encode_control(&self.roster(piece, &watching));
             self.announce(id, &message, piece.len());
         }
         if let Some(session) = self.sessions.get_mut(&id) {
@@ -325,23 +332,24 @@ impl World {
         }
     }
 
-    /// Entries for these objects; for the holder in `slot` with bounds, if the policy lets clients track.
-    fn roster(&mut self, ids: &[ObjectId], slot: Option<usize>) -> ServerControl {
+    /// Entries for these objects, for the clients in `slots`; with bounds, if the policy lets clients track.
+    fn roster(&mut self, ids: &[ObjectId], slots: &[usize]) -> ServerControl {
         let mut entries = Vec::with_capacity(ids.len());
         for &id in ids {
-            let bound = match slot {
-                Some(slot) if self.policy.tracking() => self.wire_bound(id).inspect(|_| {
+            let is_told = self.policy.tracking() && self.objects[id.index()].present;
+            let bound = if is_told { self.wire_bound(id) } else { None };
+            if bound.is_some() {
+                for &slot in slots {
                     self.objects[id.index()].note_holder(slot);
-                }),
-                _ => None,
-            };
+                }
+            }
             let object = &self.objects[id.index()];
             entries.push(RosterEntry {
                 object: id,
                 class: object.class,
                 name: object.name.clone(),
                 node: object.node.clone(),
-                bound: bound.filter(|_| object.present),
+                bound,
                 issue: object.issue,
                 present: object.present,
             });

@@ -303,7 +303,12 @@ impl VirtualRun {
             // The QUIC shell leaves them in quinn's buffer until then.
             Kind::Datagram if client.session.welcome().is_none() => client.early.push(bytes.to_vec()),
             Kind::Datagram => client.session.handle_datagram(bytes, client.driver.occlusion(), local),
-            Kind::Control => client.session.handle_control(bytes),
+            Kind::Control => {
+                client.session.handle_control(bytes);
+                if let Some(occlusion) = client.driver.occlusion() {
+                    client.session.handle_news(occlusion);
+                }
+            }
         }
         if client.session.welcome().is_some() {
             for early in std::mem::take(&mut client.early) {
