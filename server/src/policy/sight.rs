@@ -101,10 +101,12 @@ pub struct ExactSight {
     cplp_scratch: CplpScratch,
     depth: Option<DepthBuffer>,
     items: Option<ItemBuffer>,
+    /// For a viewer and an object, the triangle whose first corner a ray reached last.
+    seen_last: BTreeMap<(ObjectId, ObjectId), usize>,
 }
 
-/// Pixels a side of the cube for the first question; coarser is quicker and leaves more for the others.
-const SIDE: u32 = 64;
+/// Pixels a side of the cube for the first question; coarser is quicker and leaves more for the others, which cost more.
+const SIDE: u32 = 128;
 
 /// Pixels per unit of tangent of the small images: 320 pixels over 90°.
 const FOCAL_PX: f64 = 160.0;
@@ -121,22 +123,27 @@ impl ExactSight {
             cplp_scratch: CplpScratch::default(),
             depth: None,
             items: None,
+            seen_last: BTreeMap::new(),
             scene,
             meshes,
             classes,
         }
     }
 
-    fn is_seen(&mut self, eye: DVec3, aabb: &Aabb, object: &Object) -> bool {
+    fn is_seen(&mut self, eye: DVec3, aabb: &Aabb, object: &Object, pair: (ObjectId, ObjectId)) -> bool {
         let corners: Vec<[DVec3; 3]> = self.meshes.triangles(object).map(|(corners, _)| corners).collect();
-        // Rays to some corners, each from the mesh outward; a mesh has a few dozen triangles.
+        // Rays to some corners; a mesh has a few dozen triangles. The one that was seen last is likely to be still.
         let stride = (corners.len() / 16).max(1);
-        for [corner, ..] in corners.iter().step_by(stride) {
-            let direction = *corner - eye;
+        let last = self.seen_last.get(&pair).copied();
+        for index in last.into_iter().chain((0..corners.len()).step_by(stride)) {
+            let Some(&[corner, ..]) = corners.get(index) else { continue };
+            let direction = corner - eye;
             if direction.length_squared() < 1e-12 || self.rays.first_hit(eye, direction, 0.0, 1.0 - 1e-9).is_none() {
+                self.seen_last.insert(pair, index);
                 return true;
             }
         }
+        self.seen_last.remove(&pair);
         self.owns_a_pixel(eye, aabb, &corners)
     }
 
@@ -194,7 +201,7 @@ impl Sight for ExactSight {
                 radius: extent.radius,
                 half_height: 0.5 * (extent.top - extent.bottom),
             };
-            if !self.scratch.occlusion().hides(&bound) && self.is_seen(eye, &aabb, object) {
+            if !self.scratch.occlusion().hides(&bound) && self.is_seen(eye, &aabb, object, (own, id)) {
                 visible.push(id);
             }
         }

@@ -49,6 +49,14 @@ pub fn report(run: Run, stage: &Stage, rows: &[MeasureRow], config: &MeasureConf
     }
     for row in rows {
         report.push(row)?;
+        let frames = row.clients as f64 * row.seconds * f64::from(row.tick_hz);
+        if row.frames_skipped as f64 > frames * 0.01 {
+            report.run.notes.push(format!(
+                "VOID for {}: this machine left out {} of {frames:.0} frames, so that it measured itself; take fewer \
+                 --clients or a smaller --side",
+                row.policy, row.frames_skipped
+            ));
+        }
     }
     report.headline = headline(rows);
     report.compare(Comparison::new(&["policy"], "client_frame_ms", "missed_percent").by_series("policy"));
@@ -99,6 +107,12 @@ fn headline(rows: &[MeasureRow]) -> String {
     if let Some(oracle) = of("oracle") {
         let ratio = visible.messages_per_client_s / oracle.messages_per_client_s.max(1e-9);
         text += &format!(", {ratio:.2} times the oracle's");
+    }
+    if rows
+        .iter()
+        .any(|row| row.frames_skipped as f64 > row.clients as f64 * row.seconds * f64::from(row.tick_hz) * 0.01)
+    {
+        text = format!("VOID: this machine was too slow for so many clients (see the notes). {text}");
     }
     text += &format!(
         "; in {} frames whose truth was computed, {} objects came into view and {} were drawn later than promised.",
