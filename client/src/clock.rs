@@ -27,7 +27,8 @@ impl Clock {
         // At the stamp our clock was at most `round` ago, so the server's time is at most sent + round, had its clock
         // run at our pace; the drift of so short a time is covered by rounding up.
         let latest = sent + round.mul_f64(1.0 + DRIFT) + Duration::from_micros(1);
-        if self.latest(now).is_none_or(|known| latest < known) && !self.frozen {
+        // A stamp beyond the latest proves that wrong: our clock stood still, in a suspended machine say.
+        if self.latest(now).is_none_or(|known| latest < known || sent > known) && !self.frozen {
             self.latest = Some((now, latest));
         }
         let middle = sent + round / 2;
@@ -80,6 +81,17 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    #[test]
+    fn a_clock_that_stood_still_is_put_right_by_the_next_probe() {
+        let mut clock = Clock::default();
+        let round = Duration::from_millis(1);
+        clock.observe(WorldTime::from_micros(1_000_000), round, LocalTime::from_micros(0));
+        // The machine slept for five seconds, and its clock with it.
+        let now = LocalTime::from_micros(10_000);
+        clock.observe(WorldTime::from_micros(6_010_000), round, now);
+        assert!(clock.latest(now).unwrap() >= WorldTime::from_micros(6_010_000));
+    }
 
     proptest! {
         /// Whatever the delays, and however the server's clock drifts within the limit, the latest time is never

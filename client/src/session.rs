@@ -26,6 +26,8 @@ pub struct SessionConfig {
     pub name: String,
     /// The tracker's settings.
     pub tracker: TrackerConfig,
+    /// Whether [`Session::take_states_received`] has something to take; default false. Who sets it must take.
+    pub record_states: bool,
 }
 
 impl Default for SessionConfig {
@@ -36,6 +38,7 @@ impl Default for SessionConfig {
             role: Role::Avatar,
             name: String::new(),
             tracker: TrackerConfig::default(),
+            record_states: false,
         }
     }
 }
@@ -54,6 +57,11 @@ impl SessionConfig {
     /// Sets the name.
     pub fn with_name(self, name: impl Into<String>) -> SessionConfig {
         SessionConfig { name: name.into(), ..self }
+    }
+
+    /// Keeps which states arrive, for [`Session::take_states_received`].
+    pub fn with_record_states(self) -> SessionConfig {
+        SessionConfig { record_states: true, ..self }
     }
 
     /// Sets the tracker's settings.
@@ -257,7 +265,9 @@ impl Session {
         for record in records {
             match record {
                 ServerRecord::State { object, position, orientation } => {
-                    self.states_received.push(object);
+                    if self.config.record_states {
+                        self.states_received.push(object);
+                    }
                     tracker.handle_state(object, position, orientation, header.tick, occlusion, now);
                 }
                 ServerRecord::Bound { object, tbv } => tracker.handle_bound(object, tbv.tbv(header.tick), occlusion),
@@ -328,7 +338,7 @@ impl Session {
         if next.is_none() && self.poses_due.is_empty() && !self.owes_ack {
             return None;
         }
-        self.owes_ack = false;
+        let owed_ack = std::mem::take(&mut self.owes_ack);
         // The header's size hardly depends on what it says; records are gathered first, then the link is told what goes.
         let longest = LinkHeader { seq: u32::MAX, ack: u32::MAX, ack_bits: u32::MAX, hold_micros: u32::MAX };
         let mut probe = DatagramWriter::new(&ClientHeader { link: longest, frame: WorldTime::MAX }, limit);
@@ -355,6 +365,10 @@ impl Session {
             }
             records.push(record);
             next = tracker.poll_record(now);
+        }
+        if records.is_empty() && !owed_ack {
+            // Nothing that is to be said fits: to go on would be to go on for ever.
+            return None;
         }
         // Never given up for their age: a late acknowledgement still tells the round trip, and that a question was heard.
         let (link, _) = self.link.send(questions, now);
@@ -396,7 +410,7 @@ impl Session {
         self.tracker.as_ref()
     }
 
-    /// Objects whose states arrived since the last call, in order of arrival.
+    /// Objects whose states arrived since the last call, in order of arrival, if the configuration has them kept.
     pub fn take_states_received(&mut self) -> Vec<ObjectId> {
         std::mem::take(&mut self.states_received)
     }

@@ -1,6 +1,6 @@
 //! The static world as a server holds it: its bytes, what moves in it, and its triangles for the audit.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -49,6 +49,25 @@ pub enum ModelError {
         path: PathBuf,
         /// Where, and why.
         source: Box<toml::de::Error>,
+    },
+    /// A mesh sticks out of its class's cylinder.
+    #[error(
+        "{file}: the mesh of node '{node}' reaches {what} = {mesh:.4} m, beyond {given} m of class '{class}'; give the class \
+         what its meshes need"
+    )]
+    Extent {
+        /// The model.
+        file: String,
+        /// The node.
+        node: String,
+        /// Its class.
+        class: String,
+        /// Which of the class's values.
+        what: &'static str,
+        /// What the mesh needs, metres.
+        mesh: f64,
+        /// What the class gives, metres.
+        given: f64,
     },
     /// A node's extras do not say what they should.
     #[error("{file}: extras.eyeline of node '{node}': {reason}")]
@@ -117,6 +136,7 @@ impl Model {
             }
         };
         let (scene, stats) = load_scene(&bytes, name, &spec)?;
+        check_extents(name, &scene, &spec)?;
         let short = Path::new(name).file_name().map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into());
         let mut spec = spec;
         if spec.spawns.is_empty() {
@@ -176,6 +196,37 @@ pub enum StartError {
     #[error(transparent)]
     World(#[from] WorldError),
 }
+
+/// Whether each moving node's mesh stays within its class's cylinder at every turn about the vertical: what sticks out of
+/// it would be hidden while in sight.
+fn check_extents(file: &str, scene: &Scene, spec: &WorldSpec) -> Result<(), ModelError> {
+    let classes: BTreeMap<&str, &ClassSpec> = spec.classes.iter().map(|class| (class.name.as_str(), class)).collect();
+    let meshes: BTreeMap<&str, _> = scene.objects().iter().map(|mesh| (mesh.name.as_str(), mesh)).collect();
+    for object in &spec.objects {
+        let node = object.node.as_deref().unwrap_or(&object.name);
+        // An unknown class is the world's to refuse.
+        let (Some(class), Some(mesh)) = (classes.get(object.class.as_str()), meshes.get(node)) else { continue };
+        let corners = || mesh.triangles.iter().flat_map(|triangle| triangle.corners).map(|corner| corner.as_dvec3());
+        let most = |values: &mut dyn Iterator<Item = f64>| values.fold(f64::NEG_INFINITY, f64::max);
+        let radius = most(&mut corners().map(|corner| corner.x.hypot(corner.z)));
+        let (top, bottom) =
+            (most(&mut corners().map(|corner| corner.y)), -most(&mut corners().map(|corner| -corner.y)));
+        for (what, mesh, given, fits) in [
+            ("radius", radius, class.radius, radius <= class.radius + ROUNDING_METRES),
+            ("top", top, class.top, top <= class.top + ROUNDING_METRES),
+            ("bottom", bottom, class.bottom, bottom >= class.bottom - ROUNDING_METRES),
+        ] {
+            if !fits {
+                let (file, node, class) = (file.to_owned(), node.to_owned(), class.name.clone());
+                return Err(ModelError::Extent { file, node, class, what, mesh, given });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// What f32 coordinates of a mesh may lose against what somebody wrote in a file.
+const ROUNDING_METRES: f64 = 1e-5;
 
 /// The scene of a model whose moving nodes a specification names: the same at the server and at a client that knows the
 /// roster.

@@ -356,6 +356,10 @@ impl Tracker {
             self.stats.stale += 1;
             return;
         }
+        if tbv.issue > entry.issue {
+            // It tells of a violation that has not been heard of yet: what was known from before is void.
+            entry.valid_from = entry.valid_from.max(tbv.issued);
+        }
         entry.issue = tbv.issue;
         if entry.ask.is_some_and(|ask| ask.want == Want::Bound) {
             entry.ask = None;
@@ -375,7 +379,8 @@ impl Tracker {
     /// An object broke its bounds at `at`: whatever was known from before is void.
     pub fn handle_violation(&mut self, object: ObjectId, issue: Issue, at: WorldTime, present: bool) {
         self.out.push_back(ClientRecord::ViolationAck { object, issue });
-        if self.violations.get(&object).is_none_or(|known| known.issue < issue) {
+        let may_grow = self.entries.contains_key(&object) || self.violations.len() < EARLY_MAX;
+        if may_grow && self.violations.get(&object).is_none_or(|known| known.issue < issue) {
             self.violations.insert(object, Violated { issue, at, present });
         }
         let Some(entry) = self.entries.get_mut(&object) else { return };
@@ -402,9 +407,10 @@ impl Tracker {
                 self.stats.revealed += 1;
                 self.visible.insert(object);
             }
-            // A visible object's new state is on its way; it is drawn where it was until then.
-            if !is_told && self.tracking {
-                let want = if self.is_staged() { Want::Bound } else { Want::State };
+            // What is shown is drawn where it was until its new state comes. It is asked for too: if it left the world
+            // and came back, the server has stopped telling of it.
+            if self.tracking {
+                let want = if !is_told && self.is_staged() { Want::Bound } else { Want::State };
                 self.ask(object, want, Reason::Violated);
             }
         }

@@ -410,6 +410,7 @@ fn transport() -> quinn::TransportConfig {
         .datagram_send_buffer_size(64 * 1024)
         .stream_receive_window(quinn::VarInt::from_u32(128 * 1024))
         .receive_window(quinn::VarInt::from_u32(256 * 1024))
+        .send_window(1 << 20)
         .mtu_discovery_config(None);
     transport
 }

@@ -50,6 +50,9 @@ pub enum Transmit {
     Close(String),
 }
 
+/// A path or peer that carries less can't carry a header and a record: 38 and 41 bytes at most.
+const DATAGRAM_LIMIT_LEAST: usize = 128;
+
 /// The class of avatars.
 pub const AVATAR_CLASS: ClassId = ClassId(0);
 
@@ -183,6 +186,11 @@ impl World {
 
     /// The greatest datagram that the path to this client carries, in bytes.
     pub fn handle_datagram_limit(&mut self, id: SessionId, limit: usize) {
+        if limit < DATAGRAM_LIMIT_LEAST {
+            let reason =
+                format!("datagrams of {limit} bytes carry nothing; at least {DATAGRAM_LIMIT_LEAST} are needed");
+            return self.refuse(id, Refusal::Protocol, &reason);
+        }
         if let Some(session) = self.sessions.get_mut(&id) {
             session.datagram_limit = limit;
         }
@@ -252,6 +260,10 @@ impl World {
             Role::Avatar => 1,
             Role::Actor { avatars } => usize::from(avatars),
         };
+        if wanted == 0 {
+            self.stats.refused += 1;
+            return self.refuse(id, Refusal::Protocol, "an actor drives at least one avatar");
+        }
         let alive = self.avatars();
         if alive + wanted > self.config.avatars_max {
             self.stats.refused += 1;
@@ -439,7 +451,11 @@ impl World {
                 }
                 ClientRecord::Release { object, want_bound } => {
                     let known = self.objects.get(object.index()).is_some_and(|entry| entry.alive);
-                    if !known || !self.policy.tracking() || session.is_overtaken(object, seq) {
+                    if !known || !watches || !self.policy.tracking() || session.avatars.contains(&object) {
+                        self.stats.forbidden += 1;
+                        continue;
+                    }
+                    if session.is_overtaken(object, seq) {
                         continue;
                     }
                     session.unsubscribe(object, seq);
@@ -559,6 +575,10 @@ impl World {
         entry.told_since_violation.clear();
         for session in self.sessions.values_mut() {
             let Phase::Live { slot, watches: true } = session.phase else { continue };
+            // Who was told of it is not told of its return, wherever that is, unless it asks.
+            if !entry.present && self.policy.tracking() {
+                session.stop_telling(object);
+            }
             if to_all || entry.holders.contains(slot) {
                 session.violate(object, entry.issue, self.tick);
             }
@@ -689,4 +709,107 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
         return Err(WorldError::TooManyClasses { classes: classes.len() });
     }
     Ok(classes)
+}
+
+#[cfg(test)]
+mod tests {
+    use eyeline_protocol::codec::{DatagramWriter, encode_control};
+    use eyeline_protocol::{ClientHeader, Interest, LinkHeader, Reason};
+    use glam::DQuat;
+
+    use super::*;
+    use crate::policy::{Broadcast, Visible};
+
+    fn world(policy: Box<dyn Policy>) -> World {
+        let info = WorldInfo { name: "test".into(), hash: [0; 32], size_bytes: 0, two_sided: false };
+        let spec = WorldSpec::default();
+        World::new(WorldConfig::default(), spec, info, DVec3::ZERO, policy, WorldTime::ZERO).unwrap()
+    }
+
+    fn join(world: &mut World, role: Role) -> SessionId {
+        let id = world.connect(WorldTime::ZERO);
+        let hello = ClientControl::Hello {
+            version: VERSION,
+            token: Vec::new(),
+            resolution: (320, 240),
+            interest: Interest::Around,
+            role,
+            name: String::new(),
+        };
+        world.handle_control(id, &encode_control(&hello)[4..], WorldTime::ZERO);
+        id
+    }
+
+    /// What is to be sent to a client; more than a thousand would be without end.
+    fn drain(world: &mut World, to: SessionId) -> Vec<Transmit> {
+        let mut sent = Vec::new();
+        for _ in 0..1000 {
+            match world.poll_transmit(WorldTime::ZERO) {
+                Some((id, transmit)) if id == to => sent.push(transmit),
+                Some(_) => {}
+                None => return sent,
+            }
+        }
+        panic!("the world has no end of things to say");
+    }
+
+    fn datagram(seq: u32, records: &[ClientRecord]) -> Vec<u8> {
+        let link = LinkHeader { seq, ..LinkHeader::default() };
+        let mut writer = DatagramWriter::new(&ClientHeader { link, frame: WorldTime::ZERO }, 1200);
+        assert!(records.iter().all(|record| writer.push(record)));
+        writer.finish()
+    }
+
+    #[test]
+    fn a_peer_whose_datagrams_carry_nothing_is_refused_and_does_not_stop_the_world() {
+        let mut world = world(Box::new(Broadcast));
+        let _other = join(&mut world, Role::Avatar);
+        let id = join(&mut world, Role::Avatar);
+        world.handle_datagram_limit(id, 11);
+        world.tick(WorldTime::from_micros(50_000));
+        let sent = drain(&mut world, id);
+        assert!(sent.iter().any(|transmit| matches!(transmit, Transmit::Close(_))), "{sent:?}");
+    }
+
+    #[test]
+    fn an_actor_of_nobody_is_refused() {
+        let mut world = world(Box::new(Visible));
+        let id = join(&mut world, Role::Actor { avatars: 0 });
+        assert!(drain(&mut world, id).iter().any(|transmit| matches!(transmit, Transmit::Close(_))));
+        assert_eq!(world.stats().refused, 1);
+    }
+
+    #[test]
+    fn an_actor_hears_nothing_of_others_whatever_it_asks() {
+        let mut world = world(Box::new(Visible));
+        let _somebody = join(&mut world, Role::Avatar);
+        let actor = join(&mut world, Role::Actor { avatars: 1 });
+        drain(&mut world, actor);
+        let object = ObjectId(0);
+        let records = [
+            ClientRecord::Request { object, want: Want::State, reason: Reason::Exposed },
+            ClientRecord::Release { object, want_bound: true },
+        ];
+        world.handle_datagram(actor, &datagram(1, &records), WorldTime::ZERO);
+        let sent = drain(&mut world, actor);
+        assert!(sent.is_empty(), "{sent:?}");
+        assert_eq!(world.stats().forbidden, 2);
+    }
+
+    #[test]
+    fn an_avatar_cannot_lie_down_out_of_its_extent() {
+        let mut world = world(Box::new(Visible));
+        let id = join(&mut world, Role::Avatar);
+        let object = ObjectId(0);
+        let position = world.objects()[0].position;
+        let orientation = Orientation::from_quat(DQuat::from_rotation_x(1.5) * DQuat::from_rotation_y(0.7));
+        world.handle_datagram(
+            id,
+            &datagram(1, &[ClientRecord::Pose { object, position, orientation }]),
+            WorldTime::ZERO,
+        );
+        world.tick(WorldTime::from_micros(50_000));
+        let up = world.objects()[0].orientation.quat() * DVec3::Y;
+        assert!(up.y > 0.9999, "{up}");
+    }
 }

@@ -103,7 +103,8 @@ impl Object {
                 let (place, heading) = path.pose_at(tick.seconds());
                 Position::from_metres(place - anchor).ok().map(|position| (position, Orientation::from_yaw(heading)))
             }
-            None => self.wanted.take(),
+            // What stands upright turns about the vertical only: its extent holds for no other turn.
+            None => self.wanted.take().map(|(position, turn)| (position, Orientation::from_yaw(turn.yaw()))),
         };
         let Some((position, orientation)) = wanted else { return outcome };
         let position = self.reachable(position, &mut outcome);

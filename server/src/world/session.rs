@@ -43,6 +43,9 @@ pub(super) struct Violation {
     sent_at: Option<WorldTime>,
 }
 
+/// In place of a state's version: the object was withdrawn.
+const WITHDRAWN: WorldTime = WorldTime::MAX;
+
 /// The state of a datagram that was sent: which objects' states it carried.
 type Carried = Vec<(ObjectId, WorldTime)>;
 
@@ -104,6 +107,12 @@ impl Session {
     /// What a lost datagram carried is due again, unless something newer has been sent since.
     fn send_again(&mut self, carried: Carried) {
         for (object, version) in carried {
+            if version == WITHDRAWN {
+                if !self.is_subscribed(object) {
+                    self.hidden_due.insert(object);
+                }
+                continue;
+            }
             if let Some(subscription) = self.subscriptions.get_mut(&object)
                 && subscription.active
                 && subscription.sent == version
@@ -151,6 +160,14 @@ impl Session {
     pub fn unsubscribe(&mut self, object: ObjectId, seq: u32) {
         self.states_due.remove(&object);
         self.subscriptions.insert(object, Subscription { active: false, sent: WorldTime::MIN, asked_seq: seq });
+    }
+
+    /// Tells of the object no more, until it is asked for again.
+    pub fn stop_telling(&mut self, object: ObjectId) {
+        self.states_due.remove(&object);
+        if let Some(subscription) = self.subscriptions.get_mut(&object) {
+            subscription.active = false;
+        }
     }
 
     /// Tells of exactly these objects (ascending) from now on.
@@ -220,9 +237,10 @@ impl Session {
         {
             return None;
         }
-        self.owes_ack = false;
+        let owed_ack = std::mem::take(&mut self.owes_ack);
         let local = LocalTime::from_micros(now.micros());
         let mut carried = Vec::new();
+        let mut places = 0;
         let mut records = Vec::new();
         // The header's size does not depend on what it carries beyond a few bytes; records are first gathered, then
         // the link is told what goes.
@@ -252,6 +270,7 @@ impl Session {
                 break;
             }
             self.hidden_due.pop_first();
+            carried.push((id, WITHDRAWN));
             records.push(record);
         }
         while let Some(&id) = self.states_due.first() {
@@ -266,6 +285,7 @@ impl Session {
             }
             self.states_due.pop_first();
             object.note_holder(slot);
+            places += u64::from(!self.subscriptions.get(&id).is_some_and(|subscription| subscription.active));
             if let Some(subscription) = self.subscriptions.get_mut(&id) {
                 subscription.sent = object.changed_at;
                 carried.push((id, object.changed_at));
@@ -287,9 +307,15 @@ impl Session {
             object.note_holder(slot);
             records.push(record);
         }
+        if records.is_empty() && !owed_ack {
+            // Nothing that is due fits: to go on would be to go on for ever.
+            return None;
+        }
         for record in &records {
             stats.out.count_server(record);
         }
+        stats.out.states -= places;
+        stats.out.places += places;
         let (link, lost) = self.link.send(carried, local);
         if let Some(lost) = lost {
             stats.datagrams_lost += 1;

@@ -7,8 +7,10 @@ use eyeline_protocol::{ClientRecord, Reason, ServerRecord, Want};
 pub struct MessageCounts {
     /// A client's own poses.
     pub poses: u64,
-    /// States of visible objects: pushes and answers.
+    /// States of objects that are shown: pushes and answers to who wants updates.
     pub states: u64,
+    /// States told once, to find out whether an object is in sight.
+    pub places: u64,
     /// Requests because no bound was held.
     pub requests_unknown: u64,
     /// Requests because a bound became visible.
@@ -72,9 +74,15 @@ impl MessageCounts {
         self.states
     }
 
-    /// Messages that exist because objects are hidden: asking, bounding, letting go, violations, objects withdrawn.
+    /// Messages that exist because objects are hidden: asking, looking, bounding, letting go, violations, objects withdrawn.
     pub fn hidden_caused(&self) -> u64 {
-        self.requests() + self.bounds + self.releases + self.violations + self.violation_acks + self.hidden
+        self.requests()
+            + self.places
+            + self.bounds
+            + self.releases
+            + self.violations
+            + self.violation_acks
+            + self.hidden
     }
 
     /// Every message.
@@ -96,6 +104,7 @@ impl MessageCounts {
         MessageCounts {
             poses: f(self.poses, other.poses),
             states: f(self.states, other.states),
+            places: f(self.places, other.places),
             requests_unknown: f(self.requests_unknown, other.requests_unknown),
             requests_exposed: f(self.requests_exposed, other.requests_exposed),
             requests_expired: f(self.requests_expired, other.requests_expired),

@@ -83,6 +83,8 @@ pub struct ClientLog {
     pub skipped: u64,
     /// Requests sent again.
     pub resent: u64,
+    /// Messages that it sent within the measured time, whether or not they arrived.
+    pub sent: u64,
 }
 
 /// Everything about one run.

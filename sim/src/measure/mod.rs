@@ -122,6 +122,7 @@ impl MeasureConfig {
             .with_resolution(pixels(self.resolution.width), pixels(self.resolution.height))
             .with_name(format!("client {number}"))
             .with_tracker(self.tracker())
+            .with_record_states()
     }
 }
 

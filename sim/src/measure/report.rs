@@ -49,6 +49,13 @@ pub fn report(run: Run, stage: &Stage, rows: &[MeasureRow], config: &MeasureConf
     }
     for row in rows {
         report.push(row)?;
+        if row.net == "quic" && row.bound_ms > 1e3 / f64::from(row.tick_hz) {
+            report.run.notes.push(format!(
+                "LENIENT for {}: over loopback the promise's bound came to {:.0} ms and a frame, since this machine was busy; \
+                 lateness below that is not counted",
+                row.policy, row.bound_ms
+            ));
+        }
         let frames = row.clients as f64 * row.seconds * f64::from(row.tick_hz);
         if row.frames_skipped as f64 > frames * 0.01 {
             report.run.notes.push(format!(

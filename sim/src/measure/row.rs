@@ -49,6 +49,7 @@ pub struct MeasureRow {
     pub position_error_p50_m: f64,
     pub position_error_p99_m: f64,
     pub position_error_p99_px: f64,
+    pub ghost_object_ms: f64,
     pub overdisclosed_per_client_s: f64,
     pub client_frame_ms: f64,
     pub client_frame_p95_ms: f64,
@@ -88,17 +89,21 @@ pub fn columns() -> Vec<Column> {
         column("rtt_ms", "ms", "smoothed round trip, mean over frames"),
         column("lead_ms", "ms", "how far ahead visibility was tested"),
         column("messages_per_client_s", "1/s", "records about one object, both ways, per client"),
-        column("pushed_per_client_s", "1/s", "of these, states of objects that are shown"),
+        column("pushed_per_client_s", "1/s", "of these, states for clients that want updates of an object"),
         column(
             "hidden_caused_per_client_s",
             "1/s",
-            "of these, what exists because objects are hidden: requests, bounds, releases, violations",
+            "of these, what exists because objects are hidden: requests, states told once to find out, bounds, releases, violations",
         ),
         column("poses_per_client_s", "1/s", "of these, the client's own poses"),
         column("requests_per_client_s", "1/s", "of these, requests"),
         column("bounds_per_client_s", "1/s", "of these, bounds"),
         column("releases_per_client_s", "1/s", "of these, objects let go"),
-        column("messages_up_per_client_s", "1/s", "messages to the server"),
+        column(
+            "messages_up_per_client_s",
+            "1/s",
+            "messages to the server, as sent; the parts by kind are as they arrived there",
+        ),
         column("messages_down_per_client_s", "1/s", "messages from the server"),
         column(
             "datagrams_per_client_s",
@@ -127,17 +132,22 @@ pub fn columns() -> Vec<Column> {
             "",
             "objects drawn later than the promise allows: one round trip (greatest of 5 s), one turnaround, one frame",
         ),
-        column("reveal_p50_ms", "ms", "median time from an object's first pixel to its first drawing"),
+        column(
+            "reveal_p50_ms",
+            "ms",
+            "median time from an object's first pixel to its first drawing, or to its last pixel if it was never drawn",
+        ),
         column("reveal_p99_ms", "ms", "99th percentile of that"),
         column("position_error_p50_m", "m", "distance of a shown object from its committed place, median"),
         column("position_error_p99_m", "m", "99th percentile of that"),
         column("position_error_p99_px", "px", "the same in pixels at its distance"),
+        column("ghost_object_ms", "ms", "time for which objects were drawn that are not in the world"),
         column(
             "overdisclosed_per_client_s",
             "1/s",
             "states received of objects that could not be seen in any direction",
         ),
-        column("client_frame_ms", "ms", "culling and tracking per frame, mean"),
+        column("client_frame_ms", "ms", "culling and tracking per frame, mean; in virtual time culling only"),
         column("client_frame_p95_ms", "ms", "95th percentile of that"),
         column("client_late_p99_ms", "ms", "how late frames began, 99th percentile"),
         column("frames_skipped", "", "frames left out because the load generator came a whole frame late"),
@@ -165,6 +175,8 @@ pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig) -> Measur
     let seconds = log.window.as_secs_f64();
     let rate = |count: u64| count as f64 / clients / seconds;
     let all = log.up.plus(&log.down);
+    // Sent, not arrived: what gets lost on the way has been traffic too.
+    let sent_up: u64 = log.clients.iter().map(|client| client.sent).sum();
     let frames: Vec<_> = log.clients.iter().flat_map(|client| &client.frames).collect();
     let sorted_ms = |f: &dyn Fn(&super::FrameLog) -> std::time::Duration| {
         let mut values: Vec<f64> = frames.iter().map(|frame| f(frame).as_secs_f64() * 1e3).collect();
@@ -189,14 +201,14 @@ pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig) -> Measur
         interest: "around",
         rtt_ms: mean(&rtt_ms),
         lead_ms: 0.0,
-        messages_per_client_s: rate(all.total()),
+        messages_per_client_s: rate(sent_up + log.down.total()),
         pushed_per_client_s: rate(all.pushed()),
         hidden_caused_per_client_s: rate(all.hidden_caused()),
         poses_per_client_s: rate(all.poses),
         requests_per_client_s: rate(all.requests()),
         bounds_per_client_s: rate(all.bounds),
         releases_per_client_s: rate(all.releases),
-        messages_up_per_client_s: rate(log.up.total()),
+        messages_up_per_client_s: rate(sent_up),
         messages_down_per_client_s: rate(log.down.total()),
         datagrams_per_client_s: rate(udp[0] + udp[2]),
         datagrams_up_per_client_s: rate(udp[0]),
@@ -218,13 +230,18 @@ pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig) -> Measur
         position_error_p50_m: percentile(&truth.error_m, 0.5),
         position_error_p99_m: percentile(&truth.error_m, 0.99),
         position_error_p99_px: percentile(&truth.error_px, 0.99),
+        ghost_object_ms: truth.ghost_object_ms,
         overdisclosed_per_client_s: truth.overdisclosed as f64 / truth.disclosure_frames.max(1) as f64
             * f64::from(config.tick_hz),
         client_frame_ms: mean(&frame_ms),
         client_frame_p95_ms: percentile(&frame_ms, 0.95),
         client_late_p99_ms: percentile(&late_ms, 0.99),
         frames_skipped: log.clients.iter().map(|client| client.skipped).sum(),
-        server_us_per_message: log.server_work.as_secs_f64() * 1e6 / all.total().max(1) as f64,
+        server_us_per_message: match log.digest {
+            // In virtual time nothing takes any.
+            Some(_) => f64::NAN,
+            None => log.server_work.as_secs_f64() * 1e6 / all.total().max(1) as f64,
+        },
         server_tick_p99_ms: percentile(&ticks_ms, 0.99),
         server_longest_ms: log.turnaround.as_secs_f64() * 1e3,
         bound_ms: (round_trip_max + log.turnaround).as_secs_f64() * 1e3,

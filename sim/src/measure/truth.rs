@@ -42,6 +42,8 @@ pub struct Truth {
     pub error_m: Vec<f64>,
     /// The same in pixels.
     pub error_px: Vec<f64>,
+    /// Object-milliseconds in which something was drawn that is not in the world.
+    pub ghost_object_ms: f64,
     /// States received of objects that could not be seen from anywhere near the frame, in the frames looked at.
     pub overdisclosed: u64,
     /// Number of those frames.
@@ -70,6 +72,7 @@ impl Truth {
         self.reveals += other.reveals;
         self.error_m.extend(other.error_m);
         self.error_px.extend(other.error_px);
+        self.ghost_object_ms += other.ghost_object_ms;
         self.overdisclosed += other.overdisclosed;
         self.disclosure_frames += other.disclosure_frames;
         self.hidden += other.hidden;
@@ -115,12 +118,26 @@ pub fn judge(stage: &Stage, log: &RunLog, config: &MeasureConfig, progress: &Pro
 /// An object that owns pixels, for as long as it does within a burst.
 struct Episode {
     began: WorldTime,
-    /// Whether it came into view within the burst, so that `began` is exact.
+    /// Whether it came into view within the burst, so that `began` is exact, and has not been drawn yet.
     is_whole: bool,
+    /// The newest frame in which it owned a pixel.
+    last: WorldTime,
     is_drawn: bool,
     is_late: bool,
     /// When it must be drawn at the latest.
     need: WorldTime,
+}
+
+/// Ends the episodes of objects that are not `kept`. One that came into view and was never drawn counts with the time that
+/// it had.
+fn end(episodes: &mut BTreeMap<ObjectId, Episode>, truth: &mut Truth, kept: impl Fn(ObjectId) -> bool) {
+    episodes.retain(|&object, episode| {
+        let is_kept = kept(object);
+        if !is_kept && episode.is_whole {
+            truth.reveal_ms.push(episode.last.seconds_since(episode.began).max(0.0) * 1e3);
+        }
+        is_kept
+    });
 }
 
 fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut ItemBuffer, progress: &Progress) -> Truth {
@@ -131,7 +148,7 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
     let mut place_in_burst = 0;
     for (number, frame) in client_log.frames.iter().enumerate() {
         let Some(known) = &frame.known else {
-            episodes.clear();
+            end(&mut episodes, &mut truth, |_| false);
             place_in_burst = 0;
             continue;
         };
@@ -140,7 +157,7 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
         let commit = log.commit_at(frame.at);
         let view = painter.view(frame.eye, frame.yaw);
         let owned = painter.draw(image, &view, commit, client_log.avatar);
-        episodes.retain(|object, _| owned.contains_key(object));
+        end(&mut episodes, &mut truth, |object| owned.contains_key(&object));
         for (&object, &pixels) in &owned {
             let known = known.iter().find(|known| known.object == object);
             let is_drawn = known.is_some_and(|known| known.is_drawn);
@@ -156,11 +173,19 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
             let episode = episodes.entry(object).or_insert_with(|| Episode {
                 began: frame.at,
                 is_whole: place_in_burst > 0,
+                last: frame.at,
                 is_drawn: false,
                 is_late: false,
                 need: frame.at + frame.round_trip_max + log.turnaround,
             });
             truth.reveals += u64::from(is_new && episode.is_whole);
+            episode.last = frame.at;
+            if episode.is_drawn && !is_drawn {
+                // Lost while in sight: it must be back as fast as it had to come.
+                episode.is_drawn = false;
+                episode.is_late = false;
+                episode.need = frame.at + frame.round_trip_max + log.turnaround;
+            }
             // The first frame at or after `need` must show it: a round trip, a turnaround, and the wait for a frame.
             if !is_drawn && !episode.is_drawn && !episode.is_late && !is_new && frame.at >= episode.need {
                 if painter.is_borne_out(image, &view, commit, client_log.avatar, object) {
@@ -172,17 +197,20 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
             }
             if is_drawn && !episode.is_drawn {
                 episode.is_drawn = true;
-                if episode.is_whole {
+                if std::mem::take(&mut episode.is_whole) {
                     truth.reveal_ms.push(frame.at.seconds_since(episode.began).max(0.0) * 1e3);
                 }
             }
-            if let (Some(known), Some(Some((place, _)))) = (known, commit.places.get(object.index()))
-                && is_drawn
-            {
-                let error = known.position.metres().distance(place.metres());
-                truth.error_m.push(error);
-                truth.error_px.push(error * view.focal_px() / place.metres().distance(frame.eye).max(0.1));
-            }
+        }
+        // Everything that is shown, in sight or not: a ghost at a stale place is an error too.
+        for known in known.iter().filter(|known| known.is_drawn) {
+            let Some(Some((place, _))) = commit.places.get(known.object.index()) else {
+                truth.ghost_object_ms += frame_ms;
+                continue;
+            };
+            let error = known.position.metres().distance(place.metres());
+            truth.error_m.push(error);
+            truth.error_px.push(error * view.focal_px() / place.metres().distance(frame.eye).max(0.1));
         }
         if place_in_burst == 1 {
             painter.judge_disclosure(image, log, client, number, &mut truth);

@@ -78,7 +78,9 @@ pub(super) fn run(
         if next == recorder.start {
             before = *run.world().stats();
             for (log, number) in recorder.clients.iter_mut().zip(&recorder.numbers) {
-                log.resent = run.clients()[*number].session.tracker().map_or(0, |tracker| tracker.stats().resent);
+                let session = &run.clients()[*number].session;
+                log.resent = session.tracker().map_or(0, |tracker| tracker.stats().resent);
+                log.sent = session.stats().records_out;
             }
         }
         progress.inc(passed.as_millis() as u64);
@@ -90,6 +92,7 @@ pub(super) fn run(
         log.avatar = client.avatar().unwrap_or_default();
         let resent = client.session.tracker().map_or(0, |tracker| tracker.stats().resent);
         log.resent = resent.saturating_sub(log.resent);
+        log.sent = client.session.stats().records_out.saturating_sub(log.sent);
     }
     let after = *run.world().stats();
     let mut up = after.messages_in.since(&before.messages_in);
