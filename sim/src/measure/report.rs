@@ -106,10 +106,10 @@ pub fn report(run: Run, stage: &Stage, rows: &[MeasureRow], config: &MeasureConf
 fn headline(rows: &[MeasureRow]) -> String {
     let of = |policy: &str| rows.iter().find(|row| row.policy == policy);
     let Some(visible) = of("visible") else { return String::new() };
-    let mut text = format!("With `visible` a client exchanges {:.0} messages a second", visible.messages_per_client_s);
+    let mut text = format!("With visible a client exchanges {:.0} messages a second", visible.messages_per_client_s);
     if let Some(broadcast) = of("broadcast") {
         let ratio = broadcast.messages_per_client_s / visible.messages_per_client_s.max(1e-9);
-        text += &format!(", 1/{ratio:.1} of `broadcast`'s");
+        text += &format!(", 1/{ratio:.1} of broadcast's");
     }
     if let Some(oracle) = of("oracle") {
         let ratio = visible.messages_per_client_s / oracle.messages_per_client_s.max(1e-9);
