@@ -68,7 +68,7 @@ pub struct Truth {
     walls: Arc<Walls>,
     objects: Vec<Past>,
     watchers: BTreeMap<usize, Watcher>,
-    /// What was wrong, in order; at most [`FAILURES_MAX`].
+    /// What was wrong, in order; at most `FAILURES_MAX`.
     pub failures: Vec<String>,
     /// How many things were wrong.
     pub failed: u64,

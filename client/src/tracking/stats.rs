@@ -27,4 +27,6 @@ pub struct TrackerStats {
     pub unwanted: u64,
     /// Bounds that a later exact state proved wrong: a peer's mistake.
     pub broken_bounds: u64,
+    /// Microseconds for which bounds were believed that their objects had broken, summed over objects.
+    pub broken_believed_micros: u64,
 }

@@ -388,6 +388,9 @@ impl Tracker {
             return;
         }
         self.stats.violated += 1;
+        if matches!(entry.belief, Belief::Hidden(_)) {
+            self.stats.broken_believed_micros += self.latest.since(at).as_micros() as u64;
+        }
         entry.issue = issue;
         entry.valid_from = at;
         if !present {

@@ -190,15 +190,7 @@ impl Cplp {
         target: &mut T,
         scratch: &mut CplpScratch,
     ) -> Traversal {
-        assert_eq!(scene.triangles().len(), self.octree.primitive_total(), "the octree is another scene's");
-        let mut run = Run { octree: &self.octree, eye: eye.centre, target, scratch, done: Traversal::default() };
-        run.scratch.begin(&self.octree);
-        run.seed(eye);
-        run.plp(budget);
-        run.conservative();
-        run.scratch.visible.sort_unstable();
-        run.done.triangles_drawn = run.scratch.visible.len();
-        run.done
+        self.run(scene, eye, budget, target, scratch, true)
     }
 
     /// PLP alone: stops when the budget is spent, whatever is still visible. Not conservative.
@@ -210,11 +202,26 @@ impl Cplp {
         target: &mut T,
         scratch: &mut CplpScratch,
     ) -> Traversal {
+        self.run(scene, eye, budget, target, scratch, false)
+    }
+
+    fn run<T: Target>(
+        &self,
+        scene: &Scene,
+        eye: EyeRegion,
+        budget: Budget,
+        target: &mut T,
+        scratch: &mut CplpScratch,
+        conservative: bool,
+    ) -> Traversal {
         assert_eq!(scene.triangles().len(), self.octree.primitive_total(), "the octree is another scene's");
         let mut run = Run { octree: &self.octree, eye: eye.centre, target, scratch, done: Traversal::default() };
         run.scratch.begin(&self.octree);
         run.seed(eye);
         run.plp(budget);
+        if conservative {
+            run.conservative();
+        }
         run.scratch.visible.sort_unstable();
         run.done.triangles_drawn = run.scratch.visible.len();
         run.done

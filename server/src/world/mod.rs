@@ -430,15 +430,17 @@ impl World {
                         None => self.stats.forbidden += 1,
                     }
                 }
+                ClientRecord::Request { object, .. } | ClientRecord::Release { object, .. }
+                    if !self.objects.get(object.index()).is_some_and(|entry| entry.alive)
+                        || !watches
+                        || !self.policy.tracking()
+                        || session.avatars.contains(&object) =>
+                {
+                    self.stats.forbidden += 1;
+                }
+                ClientRecord::Request { object, .. } | ClientRecord::Release { object, .. }
+                    if session.is_overtaken(object, seq) => {}
                 ClientRecord::Request { object, want, .. } => {
-                    let known = self.objects.get(object.index()).is_some_and(|entry| entry.alive);
-                    if !known || !watches || !self.policy.tracking() || session.avatars.contains(&object) {
-                        self.stats.forbidden += 1;
-                        continue;
-                    }
-                    if session.is_overtaken(object, seq) {
-                        continue;
-                    }
                     answer = true;
                     match want {
                         Want::State => session.subscribe(object, seq),
@@ -450,14 +452,6 @@ impl World {
                     }
                 }
                 ClientRecord::Release { object, want_bound } => {
-                    let known = self.objects.get(object.index()).is_some_and(|entry| entry.alive);
-                    if !known || !watches || !self.policy.tracking() || session.avatars.contains(&object) {
-                        self.stats.forbidden += 1;
-                        continue;
-                    }
-                    if session.is_overtaken(object, seq) {
-                        continue;
-                    }
                     session.unsubscribe(object, seq);
                     if want_bound {
                         answer = true;

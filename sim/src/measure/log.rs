@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use eyeline_client::tracking::TrackerStats;
 use eyeline_protocol::{Class, ClassId, ObjectId, Orientation, Position, WorldTime};
 use eyeline_server::world::{MessageCounts, World};
 use glam::DVec3;
@@ -83,8 +84,18 @@ pub struct ClientLog {
     pub skipped: u64,
     /// Requests sent again.
     pub resent: u64,
+    /// Time for which it believed bounds that had been broken, summed over objects.
+    pub broken_believed: Duration,
     /// Messages that it sent within the measured time, whether or not they arrived.
     pub sent: u64,
+}
+
+impl ClientLog {
+    /// Takes what its tracker counted within the measured time.
+    pub fn note(&mut self, before: &TrackerStats, after: &TrackerStats) {
+        self.resent = after.resent - before.resent;
+        self.broken_believed = Duration::from_micros(after.broken_believed_micros - before.broken_believed_micros);
+    }
 }
 
 /// Everything about one run.

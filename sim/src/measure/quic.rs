@@ -254,13 +254,13 @@ async fn watch(
     let warm_up =
         run_headless(&mut connection, &mut person, frame, first, tokio::time::sleep_until(start.into())).await?;
     let before = connection.udp();
-    let resent = connection.session.tracker().map_or(0, |tracker| tracker.stats().resent);
+    let before_stats = connection.session.tracker().map(|tracker| *tracker.stats()).unwrap_or_default();
     let sent = connection.session.stats().records_out;
     let summary =
         run_headless(&mut connection, &mut person, frame, warm_up.next, tokio::time::sleep_until(end.into())).await?;
     let after = connection.udp();
     let avatar = connection.session.welcome().and_then(|welcome| welcome.avatars.first()).map(|avatar| avatar.0);
-    let resent_after = connection.session.tracker().map_or(0, |tracker| tracker.stats().resent);
+    let stats = connection.session.tracker().map(|tracker| *tracker.stats()).unwrap_or_default();
     let sent = connection.session.stats().records_out - sent;
     connection.close().await;
     drop(person);
@@ -268,7 +268,7 @@ async fn watch(
     log.avatar = avatar.unwrap_or_default();
     log.udp = [after.0 - before.0, after.1 - before.1, after.2 - before.2, after.3 - before.3];
     log.skipped = summary.skipped;
-    log.resent = resent_after - resent;
+    log.note(&before_stats, &stats);
     log.sent = sent;
     Ok(log)
 }

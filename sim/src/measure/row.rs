@@ -66,6 +66,7 @@ pub struct MeasureRow {
     pub requests_resent: u64,
     pub poses_clamped: u64,
     pub violations: u64,
+    pub broken_bound_object_ms: f64,
     pub message_digest: String,
 }
 
@@ -162,6 +163,7 @@ pub fn columns() -> Vec<Column> {
         column("requests_resent", "", "requests sent again because no answer came"),
         column("poses_clamped", "", "poses held back to their motion bound"),
         column("violations", "", "bounds broken on purpose: teleports, entering, leaving"),
+        column("broken_bound_object_ms", "ms", "time for which clients believed bounds that had been broken, summed"),
         column(
             "message_digest",
             "",
@@ -252,6 +254,7 @@ pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig) -> Measur
         requests_resent: log.clients.iter().map(|client| client.resent).sum(),
         poses_clamped: log.poses_clamped,
         violations: log.violations,
+        broken_bound_object_ms: log.clients.iter().map(|client| client.broken_believed.as_secs_f64() * 1e3).sum(),
         message_digest: log.digest.map_or_else(String::new, |digest| format!("{digest:016x}")),
     }
 }

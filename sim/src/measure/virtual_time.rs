@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use eyeline_client::net::Driver;
 use eyeline_client::session::{FrameTime, Session, SessionConfig};
+use eyeline_client::tracking::TrackerStats;
 use eyeline_protocol::{LocalTime, ObjectId, Role, WorldTime};
 use eyeline_server::world::World;
 use eyeline_visibility::{DynamicOctree, Occlusion};
@@ -63,6 +64,7 @@ pub(super) fn run(
         costs,
         commits: Vec::new(),
         clients: vec![ClientLog::default(); config.clients],
+        trackers: Vec::new(),
         actor_poses: 0,
         actor,
     };
@@ -79,19 +81,19 @@ pub(super) fn run(
             before = *run.world().stats();
             for (log, number) in recorder.clients.iter_mut().zip(&recorder.numbers) {
                 let session = &run.clients()[*number].session;
-                log.resent = session.tracker().map_or(0, |tracker| tracker.stats().resent);
+                recorder.trackers.push(session.tracker().map(|tracker| *tracker.stats()).unwrap_or_default());
                 log.sent = session.stats().records_out;
             }
         }
         progress.inc(passed.as_millis() as u64);
     }
     progress.finish();
-    for (log, number) in recorder.clients.iter_mut().zip(&recorder.numbers) {
+    for ((log, number), before) in recorder.clients.iter_mut().zip(&recorder.numbers).zip(&recorder.trackers) {
         let client = &run.clients()[*number];
         anyhow::ensure!(client.is_connected(), "client {number} lost its connection: {:?}", client.closed());
         log.avatar = client.avatar().unwrap_or_default();
-        let resent = client.session.tracker().map_or(0, |tracker| tracker.stats().resent);
-        log.resent = resent.saturating_sub(log.resent);
+        let stats = client.session.tracker().map(|tracker| *tracker.stats()).unwrap_or_default();
+        log.note(before, &stats);
         log.sent = client.session.stats().records_out.saturating_sub(log.sent);
     }
     let after = *run.world().stats();
@@ -193,6 +195,8 @@ struct Recorder<'a> {
     costs: Vec<Rc<RefCell<Cost>>>,
     commits: Vec<Commit>,
     clients: Vec<ClientLog>,
+    /// What each tracker had counted when the measured time began.
+    trackers: Vec<TrackerStats>,
     actor_poses: u64,
     actor: Option<usize>,
 }

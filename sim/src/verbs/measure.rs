@@ -11,12 +11,11 @@ use eyeline_sim::demo;
 use eyeline_sim::measure::{MeasureConfig, Net};
 use eyeline_sim::scene::plan::RoomsRules;
 use eyeline_sim::stage::{POLICIES, Stage};
-use eyeline_sim::trace::{Placement, Trace};
+use eyeline_sim::trace::Trace;
 use eyeline_sim::virtual_net::LinkRules;
 use eyeline_visibility::Resolution;
-use glam::DVec3;
 
-use super::replay::point;
+use super::place::Place;
 
 /// Options of `measure`.
 #[derive(Args)]
@@ -38,19 +37,8 @@ pub struct Measure {
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
 
-    /// Where the recording's origin lies in the world, metres [default: its middle at the most central place]
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "trace", value_parser = point)]
-    trace_origin: Option<DVec3>,
-
-    /// Turn of the recording about +Y, radians
-    #[arg(long, value_name = "RADIANS", default_value_t = 0.0, allow_hyphen_values = true, requires = "trace_origin",
-        value_parser = number(-7.0..=7.0, "radians"))]
-    trace_heading: f64,
-
-    /// World metres a recorded metre
-    #[arg(long, value_name = "SCALE", default_value_t = 1.0, requires = "trace_origin",
-        value_parser = number(0.001..=1000.0, ""))]
-    trace_scale: f64,
+    #[command(flatten)]
+    place: Place,
 
     /// Policies to compare, in this order: visible, broadcast, oracle
     #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "visible,broadcast,oracle",
@@ -176,10 +164,8 @@ pub fn run(options: &Measure) -> anyhow::Result<()> {
     let mut crowd = None;
     if let Some(file) = &options.trace {
         let trace = Trace::read(file)?;
-        let origin = options.trace_origin;
-        let placement =
-            origin.map(|origin| Placement { origin, heading: options.trace_heading, scale: options.trace_scale });
-        let (with_crowd, placed) = stage.with_crowd(trace, placement).with_context(|| file.display().to_string())?;
+        let (with_crowd, placed) =
+            stage.with_crowd(trace, options.place.placement()).with_context(|| file.display().to_string())?;
         stage = with_crowd;
         crowd = Some(placed);
     }

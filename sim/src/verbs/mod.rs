@@ -1,6 +1,7 @@
 //! What can be done from the command line: one file a verb, each with its options and what it prints.
 
 mod measure;
+mod place;
 mod replay;
 mod scene;
 mod serve;

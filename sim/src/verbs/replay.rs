@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::place::Place;
 use anyhow::Context;
 use clap::Args;
 use eyeline_client::app::{Target, number};
@@ -32,19 +33,8 @@ pub struct Replay {
     #[arg(long, value_name = "FILE", required_unless_present = "trace_origin")]
     world: Option<PathBuf>,
 
-    /// Instead, where the recording's origin lies in the world, metres
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = point)]
-    trace_origin: Option<DVec3>,
-
-    /// Turn of the recording about +Y, radians
-    #[arg(long, value_name = "RADIANS", default_value_t = 0.0, allow_hyphen_values = true, requires = "trace_origin",
-        value_parser = number(-7.0..=7.0, "radians"))]
-    trace_heading: f64,
-
-    /// World metres a recorded metre; everybody's speed is scaled with it
-    #[arg(long, value_name = "SCALE", default_value_t = 1.0, requires = "trace_origin",
-        value_parser = number(0.001..=1000.0, ""))]
-    trace_scale: f64,
+    #[command(flatten)]
+    place: Place,
 
     /// Where in the recording to begin, seconds; it begins again when it ends
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = number(0.0..=1e6, "s"))]
@@ -64,15 +54,6 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim replay --server-file out/ready.txt --trace crowd.txt --trace-origin 12,0,-3 --trace-heading 1.57
   eyeline-sim replay --connect 127.0.0.1:4433 --fingerprint 11c4…d6b9 --trace crowd.txt --world rooms.glb --seconds 60";
 
-/// Three numbers.
-pub fn point(text: &str) -> Result<DVec3, String> {
-    let parsed: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
-    match parsed.as_deref() {
-        Some(&[x, y, z]) if [x, y, z].iter().all(|x| x.abs() <= 2e6) => Ok(DVec3::new(x, y, z)),
-        _ => Err("give three numbers of at most 2000000 m, as in 12,0,-3.5".to_owned()),
-    }
-}
-
 /// Replays a crowd.
 pub fn run(options: &Replay) -> anyhow::Result<()> {
     let trace = Trace::read(&options.trace)?;
@@ -88,8 +69,8 @@ pub fn run(options: &Replay) -> anyhow::Result<()> {
 
 /// Where the crowd goes.
 fn place(options: &Replay, trace: &Trace) -> anyhow::Result<Placement> {
-    if let Some(origin) = options.trace_origin {
-        return Ok(Placement { origin, heading: options.trace_heading, scale: options.trace_scale });
+    if let Some(placement) = options.place.placement() {
+        return Ok(placement);
     }
     let world =
         options.world.as_deref().context("where does the crowd go? give --world FILE or --trace-origin X,Y,Z")?;
