@@ -1,7 +1,10 @@
 //! `measure`: policies side by side, with the truth beside them.
 
+// This is a driver: it may read the clock.
+#![expect(clippy::disallowed_methods)]
+
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
@@ -13,7 +16,8 @@ use eyeline_sim::scene::plan::RoomsRules;
 use eyeline_sim::stage::{POLICIES, Stage};
 use eyeline_sim::trace::Trace;
 use eyeline_sim::virtual_net::LinkRules;
-use eyeline_visibility::Resolution;
+use eyeline_visibility::{EyeRegion, Resolution};
+use glam::DVec3;
 
 use super::place::Place;
 
@@ -45,7 +49,8 @@ pub struct Measure {
         value_parser = POLICIES)]
     policies: Vec<String>,
 
-    /// Watching clients [default: 32, or as many as the world has places if that is less]
+    /// Watching clients [default: 32, or as many as the world has places or this machine can cull for in real time, if that
+    /// is less]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     clients: Option<u32>,
 
@@ -152,6 +157,40 @@ fn resolution(text: &str) -> Result<Resolution, String> {
     Ok(Resolution::new(size.0, size.1))
 }
 
+/// As many clients as one core can cull for in real time, and `most` at the most: more would measure the machine.
+fn fitting_clients(stage: &mut Stage, options: &Measure, most: usize) -> anyhow::Result<usize> {
+    let spec = &stage.model.spec;
+    let height = DVec3::Y * spec.avatar.eye_height - stage.anchor();
+    let eyes: Vec<DVec3> =
+        spec.spawns.iter().take(64).map(|spawn| DVec3::from_array(spawn.position) + height).collect();
+    let mut scratch = stage.all_round.scratch(options.side);
+    let mut cull_s = 0.0;
+    // Twice, to warm up.
+    for _ in 0..2 {
+        let started = Instant::now();
+        for &eye in &eyes {
+            stage.all_round.cull(EyeRegion::point(eye), &mut scratch)?;
+        }
+        cull_s = started.elapsed().as_secs_f64() / eyes.len().max(1) as f64;
+    }
+    let fitting = BUSY / (f64::from(options.tick_hz) * (cull_s + CLIENT_S));
+    if fitting >= most as f64 {
+        return Ok(most);
+    }
+    let clients = (fitting as usize).max(1);
+    stage.notes.push(format!(
+        "{clients} clients instead of {most}, since culling takes {:.2} ms a frame here; --clients or --side choose otherwise",
+        cull_s * 1e3
+    ));
+    Ok(clients)
+}
+
+/// Share of a core that culling and tracking may take.
+const BUSY: f64 = 0.6;
+
+/// What a client's frame costs besides culling, seconds: tracking and QUIC, with room for what the demo shows.
+const CLIENT_S: f64 = 0.3e-3;
+
 /// Measures.
 pub fn run(options: &Measure) -> anyhow::Result<()> {
     let mut stage = match &options.world {
@@ -169,8 +208,16 @@ pub fn run(options: &Measure) -> anyhow::Result<()> {
         stage = with_crowd;
         crowd = Some(placed);
     }
-    let clients =
-        options.clients.map_or_else(|| stage.model.spec.spawns.len().clamp(1, 32), |clients| clients as usize);
+    let clients = match options.clients {
+        Some(clients) => clients as usize,
+        None => {
+            let places = stage.model.spec.spawns.len().clamp(1, 32);
+            match options.net {
+                NetName::Sim => places,
+                NetName::Quic => fitting_clients(&mut stage, options, places)?,
+            }
+        }
+    };
     let config = MeasureConfig {
         clients,
         seed: options.seed,
