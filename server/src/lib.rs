@@ -5,6 +5,8 @@
 
 #[cfg(all(feature = "net", feature = "audit"))]
 pub mod app;
+#[cfg(any(feature = "net", feature = "audit"))]
+mod hash;
 #[cfg(feature = "audit")]
 pub mod model;
 #[cfg(feature = "net")]

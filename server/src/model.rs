@@ -9,6 +9,7 @@ use eyeline_visibility::{LoadError, LoadOptions, LoadStats, Scene, load_glb_with
 use glam::DVec3;
 use serde::Deserialize;
 
+use crate::hash::sha256;
 use crate::policy::{Broadcast, ExactSight, Meshes, Oracle, Policy, Visible};
 use crate::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, WorldSpec};
 use crate::world::{World, WorldConfig, WorldError};
@@ -234,14 +235,6 @@ fn load_scene(bytes: &[u8], name: &str, spec: &WorldSpec) -> Result<(Scene, Load
     let nodes = spec.objects.iter().map(|object| object.node.as_ref().unwrap_or(&object.name).clone());
     let options = LoadOptions::default().with_moving_nodes(nodes).with_two_sided(spec.two_sided);
     load_glb_with_stats(bytes, name, &options)
-}
-
-/// SHA-256 of some bytes.
-fn sha256(bytes: &[u8]) -> [u8; 32] {
-    let digest = ring::digest::digest(&ring::digest::SHA256, bytes);
-    let mut hash = [0; 32];
-    hash.copy_from_slice(digest.as_ref());
-    hash
 }
 
 /// The middle of the scene, on its floor: the best guess for a model that says nothing.

@@ -7,6 +7,8 @@ use rustls::crypto::CryptoProvider;
 use rustls::pki_types::{CertificateDer, ServerName, UnixTime};
 use rustls::{DigitallySignedStruct, Error, SignatureScheme};
 
+use super::scene::digest;
+
 /// SHA-256 of a server's certificate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fingerprint(pub [u8; 32]);
@@ -61,12 +63,10 @@ impl ServerCertVerifier for Pinned {
         _: &[u8],
         _: UnixTime,
     ) -> Result<ServerCertVerified, Error> {
-        let digest = ring::digest::digest(&ring::digest::SHA256, end_entity);
-        if digest.as_ref() == self.fingerprint.0 {
+        let found = digest(end_entity);
+        if found == self.fingerprint.0 {
             return Ok(ServerCertVerified::assertion());
         }
-        let mut found = [0; 32];
-        found.copy_from_slice(digest.as_ref());
         Err(Error::General(format!(
             "the server's certificate has fingerprint {}, but {} was pinned; ask its owner, do not just accept it",
             Fingerprint(found),

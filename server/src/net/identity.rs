@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 
+use crate::hash::sha256;
+
 /// A certificate and its private key.
 pub struct Identity {
     pub(super) certificate: CertificateDer<'static>,
@@ -87,14 +89,6 @@ impl Identity {
     pub fn fingerprint_hex(&self) -> String {
         self.fingerprint().iter().map(|byte| format!("{byte:02x}")).collect()
     }
-}
-
-/// SHA-256 of some bytes; also names a model by its content.
-pub fn sha256(bytes: &[u8]) -> [u8; 32] {
-    let digest = ring::digest::digest(&ring::digest::SHA256, bytes);
-    let mut hash = [0; 32];
-    hash.copy_from_slice(digest.as_ref());
-    hash
 }
 
 fn make() -> Result<(rcgen::Certificate, rcgen::KeyPair), rcgen::Error> {

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use eyeline_protocol::codec::ControlReader;
 use eyeline_protocol::{ALPN, WorldTime};
-pub use identity::{Identity, IdentityError, sha256};
+pub use identity::{Identity, IdentityError};
 use quinn::crypto::rustls::QuicServerConfig;
 use tokio::sync::mpsc;
 

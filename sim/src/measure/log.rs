@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use eyeline_client::tracking::TrackerStats;
 use eyeline_protocol::{Class, ClassId, ObjectId, Orientation, Position, WorldTime};
-use eyeline_server::world::{MessageCounts, World};
+use eyeline_server::world::{MessageCounts, Object, World};
 use glam::DVec3;
 
 /// What does not change about an object.
@@ -14,6 +14,14 @@ pub struct ObjectInfo {
     pub class: ClassId,
     /// Node of the model with its mesh; empty for an avatar.
     pub node: String,
+}
+
+impl ObjectInfo {
+    /// Every object of a world, by id.
+    pub fn all(world: &World) -> Vec<ObjectInfo> {
+        let info = |object: &Object| ObjectInfo { class: object.class, node: object.node.clone() };
+        world.objects().iter().map(info).collect()
+    }
 }
 
 /// One committed state of the world.
@@ -28,9 +36,7 @@ pub struct Commit {
 impl Commit {
     /// The newest state of a world.
     pub fn of(world: &World) -> Commit {
-        let place = |object: &eyeline_server::world::Object| {
-            (object.alive && object.present).then_some((object.position, object.orientation))
-        };
+        let place = |object: &Object| (object.alive && object.present).then_some((object.position, object.orientation));
         Commit { at: world.committed_at(), places: world.objects().iter().map(place).collect() }
     }
 }

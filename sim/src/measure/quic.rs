@@ -83,11 +83,7 @@ pub(super) fn run(
     let _ = stop.send(());
     server.join().map_err(|_| anyhow::anyhow!("the server panicked"))??;
     let Measured { clients, up, down, server_work, turnaround, tick_micros, poses_clamped, violations } = outcome?;
-    let (classes, objects) = handle.with_world(|world| {
-        let info =
-            |object: &eyeline_server::world::Object| ObjectInfo { class: object.class, node: object.node.clone() };
-        (world.classes().to_vec(), world.objects().iter().map(info).collect())
-    });
+    let (classes, objects) = handle.with_world(|world| (world.classes().to_vec(), ObjectInfo::all(world)));
     let commits = std::mem::take(&mut *commits.lock().unwrap_or_else(PoisonError::into_inner));
     Ok(RunLog {
         policy: policy.to_owned(),

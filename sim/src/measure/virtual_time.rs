@@ -99,14 +99,13 @@ pub(super) fn run(
     let after = *run.world().stats();
     let mut up = after.messages_in.since(&before.messages_in);
     up.poses = up.poses.saturating_sub(recorder.actor_poses);
-    let info = |object: &eyeline_server::world::Object| ObjectInfo { class: object.class, node: object.node.clone() };
     Ok(RunLog {
         policy: policy.to_owned(),
         net: "sim",
         window: config.window,
         commits: recorder.commits,
         classes: run.world().classes().to_vec(),
-        objects: run.world().objects().iter().map(info).collect(),
+        objects: ObjectInfo::all(run.world()),
         clients: recorder.clients,
         up,
         down: after.out.since(&before.out),
@@ -136,12 +135,7 @@ struct Watching {
 
 impl ClientDriver for Watching {
     fn poses(&mut self, session: &Session, at: WorldTime, poses: &mut Vec<Pose>) {
-        let pose = self.person.advance(session, LocalTime::from_micros(at.micros()));
-        poses.extend(pose.map(|pose| Pose {
-            object: pose.object,
-            position: pose.position,
-            orientation: pose.orientation,
-        }));
+        poses.extend(self.person.advance(session, LocalTime::from_micros(at.micros())));
     }
 
     fn cull(&mut self) {
@@ -170,12 +164,7 @@ struct Acting(Replay);
 
 impl ClientDriver for Acting {
     fn poses(&mut self, session: &Session, at: WorldTime, poses: &mut Vec<Pose>) {
-        let now = LocalTime::from_micros(at.micros());
-        poses.extend(self.0.poses(session, now).into_iter().map(|pose| Pose {
-            object: pose.object,
-            position: pose.position,
-            orientation: pose.orientation,
-        }));
+        poses.extend(self.0.poses(session, LocalTime::from_micros(at.micros())));
     }
 
     fn occlusion(&self) -> Option<&dyn Occlusion> {

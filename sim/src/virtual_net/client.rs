@@ -3,23 +3,14 @@
 use std::time::Duration;
 
 use eyeline_client::session::{Event, FrameTime, Session, SessionConfig};
-use eyeline_protocol::{LocalTime, ObjectId, Orientation, Position, WorldTime};
+use eyeline_protocol::{LocalTime, ObjectId, WorldTime};
 use eyeline_server::world::SessionId;
 use eyeline_visibility::Occlusion;
 use glam::DVec3;
 
 use super::link::{LinkRules, VirtualLink};
 
-/// Where an avatar is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
-    /// Which of the client's avatars.
-    pub object: ObjectId,
-    /// Its reference point, relative to the anchor.
-    pub position: Position,
-    /// How it is turned.
-    pub orientation: Orientation,
-}
+pub use eyeline_client::net::Pose;
 
 /// The person in front of a client in virtual time.
 ///
