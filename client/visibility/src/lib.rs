@@ -12,6 +12,7 @@ mod bound;
 mod cplp;
 mod culler;
 mod dynamic_index;
+mod facets;
 mod load;
 mod occluders;
 mod occlusion;

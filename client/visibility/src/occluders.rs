@@ -81,7 +81,7 @@ const CONVEXITY: f64 = 1e-7;
 
 /// More corners than this are not merged: each costs a half-plane per row of pixels.
 /// [`crate::under_face::Region`] has room for this many.
-const CORNERS_MAX: usize = 8;
+pub(crate) const CORNERS_MAX: usize = 8;
 
 /// A joint shorter than this is not kept, for the reason of [`DEFAULT_WIDTH_MIN`].
 const JOINT_MIN: f64 = 0.1;
@@ -128,20 +128,31 @@ impl Occluders {
 }
 
 /// The polygons while they are being merged.
-struct Loops {
-    positions: Vec<Vec3>,
-    loops: Vec<Loop>,
+pub(crate) struct Loops {
+    pub positions: Vec<Vec3>,
+    /// Those that were merged into others have no corners.
+    pub loops: Vec<Loop>,
+    /// Whether corners in the middle of a straight edge count towards [`CORNERS_MAX`], since they will be kept.
+    keeps_straight_corners: bool,
 }
 
-struct Loop {
-    corners: Vec<u32>,
-    primitives: Vec<u32>,
-    sides: Sides,
-    shell: Option<Aabb>,
-    normal: DVec3,
+pub(crate) struct Loop {
+    pub corners: Vec<u32>,
+    pub primitives: Vec<u32>,
+    pub sides: Sides,
+    pub shell: Option<Aabb>,
+    pub normal: DVec3,
 }
 
 impl Loops {
+    /// The merged loops of a scene, for users that drop no corner.
+    pub(crate) fn with_all_corners(scene: &Scene) -> Loops {
+        let mut loops = Loops::new(scene);
+        loops.keeps_straight_corners = true;
+        loops.merge();
+        loops
+    }
+
     /// One loop per occluding triangle of non-zero area.
     fn new(scene: &Scene) -> Loops {
         let mut ids = HashMap::new();
@@ -168,7 +179,7 @@ impl Loops {
                 normal,
             });
         }
-        Loops { positions, loops }
+        Loops { positions, loops, keeps_straight_corners: false }
     }
 
     fn at(&self, corner: u32) -> DVec3 {
@@ -320,7 +331,7 @@ impl Loops {
             if sine < -CONVEXITY || (sine.abs() <= CONVEXITY && u.dot(v) < 0.0) {
                 return None;
             }
-            turns += usize::from(cross != DVec3::ZERO);
+            turns += usize::from(self.keeps_straight_corners || cross != DVec3::ZERO);
         }
         (turns <= CORNERS_MAX).then_some(corners)
     }
