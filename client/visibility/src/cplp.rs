@@ -1,4 +1,4 @@
-//! Which cells can be seen? Conservative Prioritized-Layered Projection (Klosowski & Silva 2001) over an octree.
+//! Which cells can be seen? Conservative Prioritized-Layered Projection (Klosowski & Silva 2001) over any tessellation.
 //!
 //! First PLP (Klosowski & Silva 2000, §3.2): from the eye's cell on, always project (draw the triangles of) the cell of
 //! the front with the least accumulated solidity, until a budget of triangles is spent. Then the conservative phase: ask
@@ -15,10 +15,11 @@
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
+use std::sync::Arc;
 
 use glam::DVec3;
 
-use crate::{Aabb, CellId, EyeRegion, Face, Octree, OctreeRules, Scene, Target};
+use crate::{Aabb, CellId, Cells, EyeRegion, Face, Neighbour, Octree, OctreeRules, Scene, Target, Tessellation};
 
 /// How much PLP may draw by guess before queries begin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,10 +50,10 @@ pub struct Traversal {
     pub triangles_drawn: usize,
 }
 
-/// PLP and cPLP over the cells of an octree. Never changes once made, so that workers can share it.
+/// PLP and cPLP over the cells of a tessellation. Never changes once made, so that workers can share it.
 #[derive(Clone, Debug)]
 pub struct Cplp {
-    octree: Octree,
+    tessellation: Arc<dyn Tessellation>,
 }
 
 /// What one worker needs to traverse, kept from frame to frame. Starting a frame touches nothing of the last one.
@@ -116,7 +117,7 @@ impl CplpScratch {
         &self.visible
     }
 
-    fn begin(&mut self, octree: &Octree) {
+    fn begin(&mut self, cells: &Cells) {
         self.frame = self.frame.wrapping_add(1);
         if self.frame == 0 {
             // Old marks would look new after 2³² frames.
@@ -124,8 +125,8 @@ impl CplpScratch {
             self.drawn.fill(0);
             self.frame = 1;
         }
-        self.cells.resize(octree.cell_count(), CellState::default());
-        self.drawn.resize(octree.primitive_total(), 0);
+        self.cells.resize(cells.len(), CellState::default());
+        self.drawn.resize(cells.primitive_total(), 0);
         self.front.clear();
         self.entered = 0;
         self.visible.clear();
@@ -162,22 +163,22 @@ impl CplpScratch {
 
 impl Cplp {
     /// Traverses these cells.
-    pub fn new(octree: Octree) -> Cplp {
-        Cplp { octree }
+    pub fn new(tessellation: Arc<dyn Tessellation>) -> Cplp {
+        Cplp { tessellation }
     }
 
-    /// Splits the scene by `rules` and traverses those cells.
+    /// Splits the scene into octree cells by `rules` and traverses those.
     pub fn build(scene: &Scene, rules: OctreeRules) -> Cplp {
-        Cplp::new(Octree::build(scene, rules))
+        Cplp::new(Arc::new(Octree::build(scene, rules)))
     }
 
     /// The cells.
-    pub fn octree(&self) -> &Octree {
-        &self.octree
+    pub fn tessellation(&self) -> &Arc<dyn Tessellation> {
+        &self.tessellation
     }
 
     /// Draws every cell of `scene` that may be seen from the eye region into `target`, which must be empty, and leaves the
-    /// visible set in `scratch`. The scene must be the one that the octree was built for.
+    /// visible set in `scratch`. The scene must be the one that the cells were made for.
     ///
     /// With a radius the cells within reach of the ball are seeds, and so is each hull cell that some eye of it faces from
     /// outside; `target.sees` must then hold for every eye of the ball (occluders shrunk, boxes grown), as must "out of
@@ -214,10 +215,11 @@ impl Cplp {
         scratch: &mut CplpScratch,
         conservative: bool,
     ) -> Traversal {
-        assert_eq!(scene.triangles().len(), self.octree.primitive_total(), "the octree is another scene's");
-        let mut run = Run { octree: &self.octree, eye: eye.centre, target, scratch, done: Traversal::default() };
-        run.scratch.begin(&self.octree);
-        run.seed(eye);
+        let cells = self.tessellation.cells();
+        assert_eq!(scene.triangles().len(), cells.primitive_total(), "the cells are another scene's");
+        let mut run = Run { cells, eye: eye.centre, target, scratch, done: Traversal::default() };
+        run.scratch.begin(cells);
+        run.seed(eye, &*self.tessellation);
         run.plp(budget);
         if conservative {
             run.conservative();
@@ -230,7 +232,7 @@ impl Cplp {
 
 /// One traversal under way.
 struct Run<'a, T> {
-    octree: &'a Octree,
+    cells: &'a Cells,
     eye: DVec3,
     target: &'a mut T,
     scratch: &'a mut CplpScratch,
@@ -239,17 +241,17 @@ struct Run<'a, T> {
 
 impl<T: Target> Run<'_, T> {
     /// Projects the cells that touch the eye region, and puts hull cells that face it from outside into the front.
-    fn seed(&mut self, eye: EyeRegion) {
-        let root = self.octree.root();
+    fn seed(&mut self, eye: EyeRegion, tessellation: &dyn Tessellation) {
+        let root = self.cells.root();
         let mut seeds = std::mem::take(&mut self.scratch.seeds);
         for face in Face::ALL {
             if face.height(&root, eye.centre) > -eye.radius {
-                seeds.extend_from_slice(self.octree.hull(face));
+                seeds.extend_from_slice(self.cells.hull(face));
             }
         }
         // Nearest first: PLP's own seed, and a good order for occlusion.
         seeds.sort_by(|&a, &b| {
-            let distance = |cell| self.octree.cell(cell).distance(eye.centre);
+            let distance = |cell| self.cells.aabb(cell).distance(eye.centre);
             distance(a).total_cmp(&distance(b)).then(a.cmp(&b))
         });
         seeds.dedup();
@@ -257,7 +259,7 @@ impl<T: Target> Run<'_, T> {
             self.scratch.enqueue(cell, 0.0);
         }
         seeds.clear();
-        self.octree.cells_within(eye.centre, eye.radius, |cell| seeds.push(cell));
+        tessellation.cells_within(eye.centre, eye.radius, &mut |cell| seeds.push(cell));
         for &cell in &seeds {
             self.scratch.enqueue(cell, 0.0);
             self.project(cell);
@@ -270,7 +272,7 @@ impl<T: Target> Run<'_, T> {
     fn plp(&mut self, budget: Budget) {
         while self.scratch.visible.len() < budget.triangles {
             let Some(cell) = self.scratch.pop() else { break };
-            if self.target.in_view(self.octree.cell(cell)) {
+            if self.target.in_view(self.cells.aabb(cell)) {
                 self.project(cell);
             } else {
                 self.scratch.set_done(cell);
@@ -294,7 +296,7 @@ impl<T: Target> Run<'_, T> {
             for &Entry { cell, .. } in &round {
                 // Asking just before drawing, not all before all, lets a round's cells hide each other.
                 self.done.queries += 1;
-                if self.target.sees(self.octree.cell(cell)) {
+                if self.target.sees(self.cells.aabb(cell)) {
                     self.project(cell);
                 } else {
                     self.scratch.set_done(cell);
@@ -310,7 +312,7 @@ impl<T: Target> Run<'_, T> {
         self.done.cells_projected += 1;
         let scratch = &mut *self.scratch;
         scratch.batch.clear();
-        for &id in self.octree.primitives(cell) {
+        for &id in self.cells.primitives(cell) {
             let drawn = &mut scratch.drawn[id as usize];
             if *drawn != scratch.frame {
                 *drawn = scratch.frame;
@@ -321,9 +323,9 @@ impl<T: Target> Run<'_, T> {
             scratch.visible.extend_from_slice(&scratch.batch);
             self.target.draw(&scratch.batch);
         }
-        for neighbour in self.octree.neighbours(cell) {
+        for neighbour in self.cells.neighbours(cell) {
             if !self.scratch.is_done(neighbour.cell) {
-                let solidity = self.solidity(neighbour.cell, cell, neighbour.face);
+                let solidity = self.solidity(neighbour, cell);
                 self.scratch.enqueue(neighbour.cell, solidity);
             }
         }
@@ -333,16 +335,15 @@ impl<T: Target> Run<'_, T> {
     ///
     /// The view direction is the one from the eye to the middle of the shared face, not the camera's, so that it means
     /// the same for a target that looks all round. A face that looks back at the eye transfers nothing.
-    fn solidity(&self, b: CellId, a: CellId, face: Face) -> f32 {
-        let (box_a, box_b) = (self.octree.cell(a), self.octree.cell(b));
-        let shared = Aabb::new(box_a.min.max(box_b.min), box_a.max.min(box_b.max));
-        let axis = face.axis();
-        let sign = if face.is_positive() { 1.0 } else { -1.0 };
+    fn solidity(&self, b: &Neighbour, a: CellId) -> f32 {
+        let shared = self.cells.shared(a, b);
+        let axis = b.face.axis();
+        let sign = if b.face.is_positive() { 1.0 } else { -1.0 };
         let towards = (shared.centre() - self.eye).normalize_or_zero();
         let alignment = (towards[axis] * sign).max(0.0) as f32;
-        let own = self.octree.primitives(a).len() as f32 / self.octree.primitives_max().max(1) as f32;
+        let own = self.cells.primitives(a).len() as f32 / self.cells.primitives_max().max(1) as f32;
         let solidity = own + alignment * self.scratch.cells[a as usize].solidity;
-        if star_shaped(self.eye, box_b, &shared, axis) { solidity } else { solidity * STAR_PENALTY }
+        if star_shaped(self.eye, self.cells.aabb(b.cell), &shared, axis) { solidity } else { solidity * STAR_PENALTY }
     }
 }
 
@@ -412,14 +413,14 @@ mod tests {
             (DVec3::new(5.0, 0.1, 5.0), NO_GUESS),
             (DVec3::new(-50.0, 3.0, 5.0), NO_GUESS),
             (DVec3::new(5.0, 0.1, 5.0), Budget { triangles: 100 }),
-            (cplp.octree().root().max, NO_GUESS),
+            (cplp.tessellation().root().max, NO_GUESS),
             (DVec3::new(5.0, 0.1, 5.0), Budget { triangles: usize::MAX }),
         ] {
             let mut target = probe(|_| true);
             let done = cplp.traverse(&scene, EyeRegion::point(eye), budget, &mut target, &mut scratch);
             assert_eq!(scratch.visible(), (0..400).collect::<Vec<u32>>());
             assert_eq!(done.triangles_drawn, 400);
-            assert_eq!(done.cells_projected, cplp.octree().cell_count());
+            assert_eq!(done.cells_projected, cplp.tessellation().cell_count());
             target.drawn.sort_unstable();
             assert_eq!(target.drawn, scratch.visible());
         }
@@ -433,15 +434,15 @@ mod tests {
         let eye = EyeRegion::point(DVec3::new(5.123, 0.1, 5.123));
         let mut target = probe(|_| false);
         let done = cplp.traverse(&scene, eye, NO_GUESS, &mut target, &mut scratch);
-        let cell = cplp.octree().cell_at(eye.centre).unwrap();
-        assert_eq!(scratch.visible(), cplp.octree().primitives(cell));
+        let cell = cplp.tessellation().cell_at(eye.centre).unwrap();
+        assert_eq!(scratch.visible(), cplp.tessellation().primitives(cell));
         assert_eq!((done.cells_projected, done.rounds), (1, 1));
-        assert_eq!(done.queries, cplp.octree().neighbours(cell).len());
+        assert_eq!(done.queries, cplp.tessellation().neighbours(cell).len());
 
         let far = EyeRegion::point(DVec3::new(-50.0, 0.1, 5.0));
         let done = cplp.traverse(&scene, far, NO_GUESS, &mut probe(|_| false), &mut scratch);
         assert!(scratch.visible().is_empty());
-        assert_eq!(done.queries, cplp.octree().hull(Face::ALL[0]).len());
+        assert_eq!(done.queries, cplp.tessellation().hull(Face::ALL[0]).len());
     }
 
     #[test]
@@ -468,7 +469,7 @@ mod tests {
         let mut scratch = CplpScratch::default();
         let eye = EyeRegion::point(DVec3::new(2.1, 0.1, 2.1));
         let done = cplp.traverse_plp(&scene, eye, Budget { triangles: 50 }, &mut probe(|_| true), &mut scratch);
-        assert!((50..50 + cplp.octree().primitives_max()).contains(&done.triangles_drawn));
+        assert!((50..50 + cplp.tessellation().primitives_max()).contains(&done.triangles_drawn));
         assert_eq!((done.queries, done.rounds), (0, 0));
     }
 

@@ -123,7 +123,7 @@ impl Culler for FrustumBackface {
     }
 }
 
-/// Conservative PLP over octree cells with the CPU's sampled depth buffer as its query back end.
+/// Conservative PLP over any tessellation with the CPU's sampled depth buffer as its query back end.
 ///
 /// An eye region that is not the view's eye gets everything, since the depth buffer speaks for one eye; use
 /// [`Cplp::traverse`] with a target that is made for the region.
@@ -137,11 +137,11 @@ pub struct CplpCuller {
 impl CplpCuller {
     /// Culls with cells that were made for this scene.
     pub fn new(scene: Arc<Scene>, cplp: Arc<Cplp>, budget: Budget) -> CplpCuller {
-        assert_eq!(scene.triangles().len(), cplp.octree().primitive_total(), "the octree is another scene's");
+        assert_eq!(scene.triangles().len(), cplp.tessellation().primitive_total(), "the cells are another scene's");
         CplpCuller { scene, cplp, budget }
     }
 
-    /// Makes the cells by default rules.
+    /// Makes octree cells by default rules.
     pub fn build(scene: Arc<Scene>) -> CplpCuller {
         let cplp = Arc::new(Cplp::build(&scene, OctreeRules::default()));
         CplpCuller::new(scene, cplp, Budget::default())

@@ -6,7 +6,8 @@ use std::sync::Arc;
 
 use eyeline_visibility::{
     Aabb, Bound, Budget, Cplp, CplpCuller, Culler, EyeRegion, FrustumBackface, ItemBuffer, Octree, OctreeRules,
-    RayScene, Resolution, Scene, Scratch, Sides, Triangle, View, ZBuffer, exact_set, pixel_ray, wrong_pixels,
+    RayScene, Resolution, Scene, Scratch, Sides, Tessellation, Triangle, View, ZBuffer, exact_set, pixel_ray,
+    wrong_pixels,
 };
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
@@ -21,7 +22,7 @@ fn cullers(scene: &Arc<Scene>) -> Vec<(String, Box<dyn Culler>)> {
         ("cPLP by default".into(), Box::new(CplpCuller::build(scene.clone()))),
     ];
     let rules = OctreeRules::default().with_max_triangles_per_leaf(6).with_max_depth(6);
-    let fine = Arc::new(Cplp::new(Octree::build(scene, rules)));
+    let fine = Arc::new(Cplp::new(Arc::new(Octree::build(scene, rules))));
     for triangles in [0, 50, usize::MAX] {
         let culler = CplpCuller::new(scene.clone(), fine.clone(), Budget { triangles });
         cullers.push((format!("cPLP {triangles}"), Box::new(culler)));
