@@ -13,6 +13,7 @@ mod cplp;
 mod culler;
 mod dynamic_index;
 mod load;
+mod masked;
 mod occluders;
 mod occlusion;
 mod octree;
@@ -32,6 +33,7 @@ pub use dynamic_index::DynamicOctree;
 pub use load::{
     LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats, pack_glb,
 };
+pub use masked::{Coverage, MaskedDepth, MaskedStats, SimdLevel};
 pub use occluders::Occluders;
 pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use octree::{CellId, Face, Neighbour, Octree, OctreeRules};
