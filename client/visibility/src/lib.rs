@@ -14,6 +14,7 @@ mod culler;
 mod dynamic_index;
 mod facets;
 mod load;
+mod masked;
 mod occluders;
 mod occlusion;
 mod octree;
@@ -34,6 +35,7 @@ pub use dynamic_index::DynamicOctree;
 pub use load::{
     LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats, pack_glb,
 };
+pub use masked::{Coverage, MaskedDepth, MaskedStats, SimdLevel};
 pub use occluders::Occluders;
 pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use octree::{Octree, OctreeRules};

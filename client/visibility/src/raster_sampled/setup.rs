@@ -15,39 +15,39 @@ use glam::DVec3;
 use crate::{Sides, View};
 
 /// No point of a snapped triangle is farther than this from a point of equal depth of the true one: √2/512, rounded up.
-pub(super) const SNAP_PX: f64 = 1.0 / 256.0;
+pub(crate) const SNAP_PX: f64 = 1.0 / 256.0;
 
 /// Bounds the relative error of depths: see [`Ramp`].
-pub(super) const DEPTH_SLACK: f64 = 1.0 / 131_072.0;
+pub(crate) const DEPTH_SLACK: f64 = 1.0 / 131_072.0;
 
 /// Half the side of the square of pixels around the image's middle that coordinates may reach before they are clipped. Products
 /// of two coordinates in 1/256 px then stay below 2⁵⁹.
-const GUARD_PX: f64 = 1_048_576.0;
+pub(crate) const GUARD_PX: f64 = 1_048_576.0;
 
 /// Takes points of the scene to a view's image.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Projector {
+pub(crate) struct Projector {
     eye: DVec3,
     /// Axes of view space in the scene: right, up, forward.
-    axes: [DVec3; 3],
-    pub(super) focal_px: f64,
+    pub(crate) axes: [DVec3; 3],
+    pub(crate) focal_px: f64,
     /// Middle of the image, which is half its size.
-    pub(super) middle: [f64; 2],
-    pub(super) near: f64,
-    pub(super) width: i32,
-    pub(super) height: i32,
+    pub(crate) middle: [f64; 2],
+    pub(crate) near: f64,
+    pub(crate) width: i32,
+    pub(crate) height: i32,
 }
 
 /// A point in view space: right, up, and forward distance.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct ViewPoint {
-    pub(super) x: f64,
-    pub(super) y: f64,
-    pub(super) w: f64,
+pub(crate) struct ViewPoint {
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    pub(crate) w: f64,
 }
 
 impl Projector {
-    pub(super) fn new(view: &View) -> Projector {
+    pub(crate) fn new(view: &View) -> Projector {
         let (width, height) = (view.resolution.width as i32, view.resolution.height as i32);
         Projector {
             eye: view.eye,
@@ -60,11 +60,12 @@ impl Projector {
         }
     }
 
-    pub(super) fn eye(&self) -> DVec3 {
+    pub(crate) fn eye(&self) -> DVec3 {
         self.eye
     }
 
-    pub(super) fn view_point(&self, point: DVec3) -> ViewPoint {
+    #[inline(always)]
+    pub(crate) fn view_point(&self, point: DVec3) -> ViewPoint {
         let d = point - self.eye;
         let [x, y, w] = self.axes.map(|axis| d.x * axis.x + d.y * axis.y + d.z * axis.z);
         ViewPoint { x, y, w }
@@ -72,7 +73,7 @@ impl Projector {
 
     /// Whether all points lie more than a pixel outside one of the image's four sides, and `slack` metres more. Holds for
     /// points behind the eye plane too: the sides are half-spaces.
-    pub(super) fn outside<const N: usize>(&self, points: &[ViewPoint; N], slack: f64) -> bool {
+    pub(crate) fn outside(&self, points: &[ViewPoint], slack: f64) -> bool {
         let f = self.focal_px;
         let [kx, ky] = self.middle.map(|half| half + 1.0);
         let slack = slack * (f + kx.max(ky));
@@ -96,20 +97,13 @@ impl Projector {
                 emit(&piece);
             }
         } else {
-            self.clipped(points, reach, sides, &mut emit);
+            self.clipped(points, sides, &mut emit);
         }
     }
 
     #[cold]
-    fn clipped(&self, points: [ViewPoint; 3], reach: f64, sides: Sides, emit: &mut impl FnMut(&Piece)) {
-        let mut polygon = points.to_vec();
-        polygon = clip(&polygon, |p| p.w - self.near);
-        // The clipped corners' distance is known exactly; rounding must not put them before the near plane.
-        polygon.iter_mut().for_each(|p| p.w = p.w.max(self.near));
-        polygon = clip(&polygon, |p| reach * p.w - p.x);
-        polygon = clip(&polygon, |p| reach * p.w + p.x);
-        polygon = clip(&polygon, |p| reach * p.w - p.y);
-        polygon = clip(&polygon, |p| reach * p.w + p.y);
+    fn clipped(&self, points: [ViewPoint; 3], sides: Sides, emit: &mut impl FnMut(&Piece)) {
+        let polygon = self.clip(&points);
         let snapped: Vec<Corner> = polygon.into_iter().map(|p| self.snap(p)).collect();
         for i in 2..snapped.len() {
             if let Some(piece) = self.piece([snapped[0], snapped[i - 1], snapped[i]], sides) {
@@ -118,8 +112,20 @@ impl Projector {
         }
     }
 
-    #[inline]
-    fn snap(&self, p: ViewPoint) -> Corner {
+    /// The part of a convex polygon beyond the near plane and within the guard band.
+    pub(crate) fn clip(&self, points: &[ViewPoint]) -> Vec<ViewPoint> {
+        let reach = GUARD_PX / self.focal_px;
+        let mut polygon = clip(points, |p| p.w - self.near);
+        // The clipped corners' distance is known exactly; rounding must not put them before the near plane.
+        polygon.iter_mut().for_each(|p| p.w = p.w.max(self.near));
+        polygon = clip(&polygon, |p| reach * p.w - p.x);
+        polygon = clip(&polygon, |p| reach * p.w + p.x);
+        polygon = clip(&polygon, |p| reach * p.w - p.y);
+        clip(&polygon, |p| reach * p.w + p.y)
+    }
+
+    #[inline(always)]
+    pub(crate) fn snap(&self, p: ViewPoint) -> Corner {
         // Adding and subtracting 1.5 · 2⁵² rounds to the nearest integer.
         const ROUND: f64 = 6_755_399_441_055_744.0;
         let per_metre = self.focal_px / p.w;
@@ -168,10 +174,10 @@ fn clip(polygon: &[ViewPoint], height: impl Fn(&ViewPoint) -> f64) -> Vec<ViewPo
 
 /// A corner in the image: 1/256 px, with the origin at the centre of pixel (0, 0), and reversed depth.
 #[derive(Clone, Copy, Debug)]
-struct Corner {
-    x: i64,
-    y: i64,
-    z: f64,
+pub(crate) struct Corner {
+    pub(crate) x: i64,
+    pub(crate) y: i64,
+    pub(crate) z: f64,
 }
 
 /// A snapped triangle of positive area whose box holds a pixel centre of the image.
