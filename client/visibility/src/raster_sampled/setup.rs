@@ -64,6 +64,11 @@ impl Projector {
         self.eye
     }
 
+    /// Axes of view space in the scene: right, up, forward.
+    pub(super) fn axes(&self) -> [DVec3; 3] {
+        self.axes
+    }
+
     pub(super) fn view_point(&self, point: DVec3) -> ViewPoint {
         let d = point - self.eye;
         let [x, y, w] = self.axes.map(|axis| d.x * axis.x + d.y * axis.y + d.z * axis.z);
