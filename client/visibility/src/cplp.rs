@@ -11,7 +11,8 @@
 //! it and is seen too. The chain begins at a seed: a cell that touches the eye, or, where the segment enters the root
 //! box from outside, a cell with a hull face that faces the eye (b). So each of them is projected, the last of them with q's
 //! triangle (a). Nothing nearer than the near plane is drawn, but chains run through it: a target's cells have no near
-//! plane (c, e). Sealed faces (f) would save work and are not done yet: a wall in a cell face exposes the cell behind it.
+//! plane (c, e). A sealed face (f) that the target believes ends a chain: the target then says that q is next to where the
+//! chain meets it, so that the cell in front of the first such face, which was projected, lists q's triangle.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -46,6 +47,10 @@ pub struct Traversal {
     pub rounds: usize,
     /// Cells asked about.
     pub queries: usize,
+    /// Sealed faces that were believed, so that they did not lead on.
+    pub sealed: usize,
+    /// Sealed faces that were not: at this resolution, from this eye, they count as open.
+    pub doubted: usize,
     /// Triangles drawn, each once: the size of the visible set.
     pub triangles_drawn: usize,
 }
@@ -72,6 +77,11 @@ pub struct CplpScratch {
     seeds: Vec<CellId>,
     batch: Vec<u32>,
     visible: Vec<u32>,
+    projected: Vec<CellId>,
+    records_fronts: bool,
+    /// Cells of the fronts one after the other, and where each front ends.
+    fronts: Vec<CellId>,
+    front_ends: Vec<usize>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -117,6 +127,30 @@ impl CplpScratch {
         &self.visible
     }
 
+    /// The cells that the last traversal projected, in that order.
+    pub fn projected(&self) -> &[CellId] {
+        &self.projected
+    }
+
+    /// Whether the next traversals keep their fronts, for pictures. Off by default: it takes time.
+    pub fn record_fronts(&mut self, records: bool) {
+        self.records_fronts = records;
+    }
+
+    /// The fronts of the last traversal if they were recorded: what PLP left, then what each round found; the last one is
+    /// empty if the traversal ran to its end. Each in the order of projection.
+    pub fn fronts(&self) -> impl ExactSizeIterator<Item = &[CellId]> {
+        let begin = |i: usize| if i == 0 { 0 } else { self.front_ends[i - 1] };
+        (0..self.front_ends.len()).map(move |i| &self.fronts[begin(i)..self.front_ends[i]])
+    }
+
+    fn record(&mut self, round: &[Entry]) {
+        if self.records_fronts {
+            self.fronts.extend(round.iter().map(|entry| entry.cell));
+            self.front_ends.push(self.fronts.len());
+        }
+    }
+
     fn begin(&mut self, cells: &Cells) {
         self.frame = self.frame.wrapping_add(1);
         if self.frame == 0 {
@@ -130,6 +164,9 @@ impl CplpScratch {
         self.front.clear();
         self.entered = 0;
         self.visible.clear();
+        self.projected.clear();
+        self.fronts.clear();
+        self.front_ends.clear();
     }
 
     fn is_done(&self, cell: CellId) -> bool {
@@ -268,7 +305,7 @@ impl<T: Target> Run<'_, T> {
         self.scratch.seeds = seeds;
     }
 
-    /// Projects by solidity alone until the budget is spent.
+    /// Projects by solidity alone until the budget is spent, and leaves the rest to [`Run::conservative`].
     fn plp(&mut self, budget: Budget) {
         while self.scratch.visible.len() < budget.triangles {
             let Some(cell) = self.scratch.pop() else { break };
@@ -289,6 +326,7 @@ impl<T: Target> Run<'_, T> {
                 let CellState { solidity, entered, .. } = self.scratch.cells[cell as usize];
                 round.push(Entry { solidity, entered, cell });
             }
+            self.scratch.record(&round);
             if round.is_empty() {
                 break;
             }
@@ -309,6 +347,7 @@ impl<T: Target> Run<'_, T> {
     /// Draws what a cell holds, and puts its neighbours into the front.
     fn project(&mut self, cell: CellId) {
         self.scratch.set_done(cell);
+        self.scratch.projected.push(cell);
         self.done.cells_projected += 1;
         let scratch = &mut *self.scratch;
         scratch.batch.clear();
@@ -324,10 +363,18 @@ impl<T: Target> Run<'_, T> {
             self.target.draw(&scratch.batch);
         }
         for neighbour in self.cells.neighbours(cell) {
-            if !self.scratch.is_done(neighbour.cell) {
-                let solidity = self.solidity(neighbour, cell);
-                self.scratch.enqueue(neighbour.cell, solidity);
+            if self.scratch.is_done(neighbour.cell) {
+                continue;
             }
+            if let Some(seal) = self.cells.seal(cell, neighbour) {
+                let believed = self.target.believes(&seal);
+                *if believed { &mut self.done.sealed } else { &mut self.done.doubted } += 1;
+                if believed {
+                    continue;
+                }
+            }
+            let solidity = self.solidity(neighbour, cell);
+            self.scratch.enqueue(neighbour.cell, solidity);
         }
     }
 

@@ -41,6 +41,13 @@ pub trait Target {
         let _ = aabb;
         true
     }
+    /// Whether a sealed face lets nothing be seen past it, once the triangles of the cell in front of it were drawn: every
+    /// primitive that shows beyond it has a point within the face's skin of the place where it is seen through the face.
+    /// Doubt is `false`, and so is the answer of a target that does not know: it is then asked about the cell behind instead.
+    fn believes(&self, seal: &crate::SealedFace<'_>) -> bool {
+        let _ = seal;
+        false
+    }
     /// Whether nothing more can be seen anywhere in the image, so that a traversal may stop.
     fn is_full(&self) -> bool;
 }

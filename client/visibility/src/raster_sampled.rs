@@ -6,6 +6,7 @@
 //! triangle only. That is what makes "hidden in the one" mean "cannot win in the other".
 
 mod depth;
+mod seal;
 pub(crate) mod setup;
 
 use glam::DVec3;

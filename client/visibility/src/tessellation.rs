@@ -8,7 +8,7 @@ use std::fmt::Debug;
 
 use glam::DVec3;
 
-use crate::{Aabb, Scene};
+use crate::{Aabb, Scene, SealedFace};
 
 /// Number of a cell in its tessellation.
 pub type CellId = u32;
@@ -77,8 +77,10 @@ pub struct Cells {
     /// `primitives[primitive_starts[c]..primitive_starts[c + 1]]` are those of cell c, ascending; likewise below.
     primitive_starts: Vec<u32>,
     primitives: Vec<u32>,
-    pub(crate) neighbour_starts: Vec<u32>,
-    pub(crate) neighbours: Vec<Neighbour>,
+    neighbour_starts: Vec<u32>,
+    neighbours: Vec<Neighbour>,
+    crack_starts: Vec<u32>,
+    cracks: Vec<[DVec3; 2]>,
     hull_starts: [u32; 7],
     hull: Vec<CellId>,
     primitives_max: usize,
@@ -96,6 +98,8 @@ impl Cells {
             primitives: Vec::new(),
             neighbour_starts: vec![0],
             neighbours: Vec::new(),
+            crack_starts: vec![0],
+            cracks: Vec::new(),
             hull_starts: [0; 7],
             hull: Vec::new(),
             primitives_max: 0,
@@ -132,6 +136,25 @@ impl Cells {
             self.hull.extend((0..).zip(&self.boxes).filter_map(|(cell, aabb)| outer(aabb).then_some(cell)));
             self.hull_starts[face.0 as usize + 1] = self.hull.len() as u32;
         }
+    }
+
+    /// Seals the way to a neighbour of a cell, with the cracks of the seal.
+    pub(crate) fn set_seal(&mut self, cell: CellId, nth_neighbour: usize, cracks: &[[DVec3; 2]]) {
+        let neighbour = self.neighbour_starts[cell as usize] as usize + nth_neighbour;
+        self.neighbours[neighbour].seal = self.crack_starts.len() as u32 - 1;
+        self.cracks.extend_from_slice(cracks);
+        self.crack_starts.push(self.cracks.len() as u32);
+    }
+
+    /// What seals the way from a cell to a neighbour, if anything does.
+    pub fn seal(&self, cell: CellId, neighbour: &Neighbour) -> Option<SealedFace<'_>> {
+        let seal = neighbour.is_sealed().then_some(neighbour.seal as usize)?;
+        Some(SealedFace {
+            rectangle: self.shared(cell, neighbour),
+            face: neighbour.face,
+            cracks: &self.cracks[self.crack_starts[seal] as usize..self.crack_starts[seal + 1] as usize],
+            skin: self.skin,
+        })
     }
 
     /// The box that the cells fill: the scene's box, inflated a little so that no triangle lies on the hull (condition (a) of

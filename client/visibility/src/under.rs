@@ -24,7 +24,7 @@ use glam::DVec3;
 
 use crate::occluders::Occluders;
 use crate::under_face::{Face, Region};
-use crate::{Aabb, Bound, EyeRegion, Occlusion, Target, View};
+use crate::{Aabb, Bound, EyeRegion, Occlusion, SealedFace, Target, View};
 
 /// Occluders count from this many near distances on, along the image's axis. A camera that is turned by θ against it
 /// still has them beyond its own near plane if cos θ ≥ 1/2: true up to 120° of diagonal angle of view.
@@ -359,6 +359,11 @@ impl Target for UnderOcclusion {
 
     fn sees(&self, aabb: &Aabb) -> bool {
         !self.hides(&Bound::Box(*aabb))
+    }
+
+    /// Rays decide here, and no ray passes a sealed face but where a camera's near plane cuts it open.
+    fn believes(&self, seal: &SealedFace<'_>) -> bool {
+        seal.rectangle.distance(self.image.eye) >= OCCLUDER_NEAR * self.image.near
     }
 
     fn is_full(&self) -> bool {

@@ -5,9 +5,9 @@ mod made;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, Bound, Budget, Cplp, CplpCuller, Culler, EyeRegion, FrustumBackface, ItemBuffer, Octree, OctreeRules,
-    RayScene, Resolution, Scene, Scratch, Sides, Tessellation, Triangle, View, ZBuffer, exact_set, pixel_ray,
-    wrong_pixels,
+    Aabb, Bound, Budget, Cplp, CplpCuller, Culler, EyeRegion, FrustumBackface, ItemBuffer, KdRules, KdTree, Octree,
+    OctreeRules, RayScene, Resolution, Scene, Scratch, Sides, Tessellation, Triangle, View, ZBuffer, exact_set,
+    pixel_ray, wrong_pixels,
 };
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
@@ -26,6 +26,16 @@ fn cullers(scene: &Arc<Scene>) -> Vec<(String, Box<dyn Culler>)> {
     for triangles in [0, 50, usize::MAX] {
         let culler = CplpCuller::new(scene.clone(), fine.clone(), Budget { triangles });
         cullers.push((format!("cPLP {triangles}"), Box::new(culler)));
+    }
+    for (name, rules) in [
+        ("by default", KdRules::default()),
+        ("of small cells", KdRules::default().with_max_triangles_per_leaf(6).with_min_obscuration(0.1)),
+    ] {
+        let cells = Arc::new(Cplp::new(Arc::new(KdTree::build(scene, rules))));
+        for triangles in [0, 100] {
+            let culler = CplpCuller::new(scene.clone(), cells.clone(), Budget { triangles });
+            cullers.push((format!("cPLP {triangles} in a kD-tree {name}"), Box::new(culler)));
+        }
     }
     cullers
 }

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, CplpCuller, Culler, EyeRegion, FrustumBackface, LoadOptions, Resolution, Scene, Scratch, View, exact_set,
-    load_file, wrong_pixels,
+    Aabb, Budget, Cplp, CplpCuller, Culler, EyeRegion, FrustumBackface, KdRules, KdTree, LoadOptions, Resolution,
+    Scene, Scratch, Tessellation, View, exact_set, load_file, wrong_pixels,
 };
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
@@ -48,14 +48,24 @@ fn anywhere(rng: &mut Pcg64, aabb: &Aabb) -> DVec3 {
 fn real_scenes_are_culled_without_error() {
     for file in scene_files() {
         let scene = Arc::new(load_file(&file, &LoadOptions::default()).unwrap());
-        let cullers: [(&str, Box<dyn Culler>); 2] = [
+        let tree = KdTree::build(&scene, KdRules::default());
+        eprintln!(
+            "{}: {:?}, {} cells, {} references",
+            file.display(),
+            tree.stats(),
+            tree.cell_count(),
+            tree.cells().reference_count()
+        );
+        let tree = Arc::new(Cplp::new(Arc::new(tree)));
+        let cullers: [(&str, Box<dyn Culler>); 3] = [
             ("VF-BF", Box::new(FrustumBackface::new(scene.clone()))),
             ("cPLP", Box::new(CplpCuller::build(scene.clone()))),
+            ("cPLP in a kD-tree", Box::new(CplpCuller::new(scene.clone(), tree, Budget::default()))),
         ];
         let standing = standing_eyes(&file, &scene);
         let mut scratch = Scratch::default();
         let mut rng = Pcg64::seed_from_u64(21);
-        let mut drawn = [0; 2];
+        let mut drawn = [0; 3];
         for i in 0..100 {
             for side in [64, 128] {
                 let resolution = Resolution::new(side, side);
@@ -85,8 +95,11 @@ fn real_scenes_are_culled_without_error() {
                 }
             }
         }
-        let [frustum, cplp] = drawn.map(|drawn| drawn / 200);
+        let [frustum, cplp, kd] = drawn.map(|drawn| drawn / 200);
         let name = file.file_stem().unwrap_or_default().display();
-        eprintln!("{name}: {} triangles; VF-BF {frustum}, cPLP {cplp} per view", scene.triangles().len());
+        eprintln!(
+            "{name}: {} triangles; VF-BF {frustum}, cPLP {cplp}, in a kD-tree {kd} per view",
+            scene.triangles().len()
+        );
     }
 }

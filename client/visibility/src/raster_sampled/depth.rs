@@ -2,8 +2,9 @@
 
 use std::cell::Cell;
 
+use super::seal;
 use super::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
-use crate::{Aabb, Bound, Occlusion, Scene, Target, View};
+use crate::{Aabb, Bound, Occlusion, Scene, SealedFace, Target, View};
 
 /// Side of a tile in pixels.
 const TILE: usize = 8;
@@ -130,6 +131,11 @@ impl DepthBuffer {
         Place::In { x: x.map(|x| x as usize), y: y.map(|y| y as usize), z }
     }
 
+    /// Whether a sealed face hides what is beyond it: see `seal.rs`.
+    pub(crate) fn believes(&self, seal: &SealedFace<'_>) -> bool {
+        seal::holds(&self.projector, seal, |x, y| self.depths[y * self.tiles_x * TILE + x])
+    }
+
     fn sees(&self, aabb: &Aabb) -> bool {
         match self.place(aabb) {
             Place::Outside => false,
@@ -215,6 +221,10 @@ impl Target for SampledTarget<'_> {
 
     fn in_view(&self, aabb: &Aabb) -> bool {
         self.buffer.in_view(aabb)
+    }
+
+    fn believes(&self, seal: &SealedFace<'_>) -> bool {
+        self.buffer.believes(seal)
     }
 
     /// Only an image without pixels is: what is covered may still be covered by something nearer.

@@ -64,6 +64,11 @@ impl Projector {
         self.eye
     }
 
+    /// Axes of view space in the scene: right, up, forward.
+    pub(super) fn axes(&self) -> [DVec3; 3] {
+        self.axes
+    }
+
     #[inline(always)]
     pub(crate) fn view_point(&self, point: DVec3) -> ViewPoint {
         let d = point - self.eye;

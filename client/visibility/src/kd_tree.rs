@@ -1,0 +1,491 @@
+//! Where do rooms end? A kD-tree that is cut at large walls (Teller 1992; Coorg & Teller 1997 use one for its fit to them).
+//!
+//! Octree leaves straddle thin walls, so that what one room sees leaks into the next. Here a cell is first cut where opaque
+//! axis-aligned triangles lie in one plane and cover much of the cell's cross-section (Teller's *obscuration*). A wall of
+//! some thickness has two such planes, so it becomes a thin cell of its own; in that cell the jambs and the lintel of a
+//! door cover the whole cross-section, so it falls into solid pieces and the opening. What is left, and any soup without
+//! such walls, is cut by the surface-area heuristic while a cell holds too many triangles and a cut saves something.
+//!
+//! A plane is one f64 that is stored once, so neighbours agree on faces bit for bit, and one that came from a wall is that
+//! wall's own coordinate: [`crate::sealed`] compares them exactly.
+
+use glam::DVec3;
+
+use crate::sealed::{self, Wall};
+use crate::tessellation::{root_box, rounding_slack, touches};
+use crate::{Aabb, CellId, Cells, Face, Neighbour, Scene, Tessellation};
+
+/// When and where a cell is cut. Any value is legal; a zero counts as one triangle, and depth is cut to 60.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct KdRules {
+    /// A cell with more triangles is cut even where no wall is. Fewer: finer culling, more queries, and furniture splits
+    /// rooms. Default 512.
+    pub max_triangles_per_leaf: usize,
+    /// Greatest number of cuts above a cell. Default 40: a storey of 22 × 22 rooms needs about 20.
+    pub max_depth: u32,
+    /// The least share of a cell's cross-section that a wall must cover for a cut, from 0 to 1. Lower: smaller walls cut
+    /// whole rooms apart. Default 0.4.
+    pub min_obscuration: f64,
+    /// Metres by which a cell is grown to find its triangles, cut to 10⁻⁴ of the scene. Sampled images believe a sealed
+    /// face only while its depth moves less than this over a hundredth of a pixel, so more lets seals work at lower
+    /// resolutions, steeper and farther away; it lists more triangles twice. Default 0.01. No cell is thinner than twice this.
+    pub skin: f64,
+}
+
+impl Default for KdRules {
+    fn default() -> KdRules {
+        KdRules { max_triangles_per_leaf: 512, max_depth: 40, min_obscuration: 0.4, skin: 0.01 }
+    }
+}
+
+impl KdRules {
+    /// The rules with another limit of triangles.
+    pub fn with_max_triangles_per_leaf(self, max_triangles_per_leaf: usize) -> KdRules {
+        KdRules { max_triangles_per_leaf, ..self }
+    }
+
+    /// The rules with another limit of depth.
+    pub fn with_max_depth(self, max_depth: u32) -> KdRules {
+        KdRules { max_depth, ..self }
+    }
+
+    /// The rules with another least obscuration.
+    pub fn with_min_obscuration(self, min_obscuration: f64) -> KdRules {
+        KdRules { min_obscuration, ..self }
+    }
+
+    /// The rules with another skin.
+    pub fn with_skin(self, skin: f64) -> KdRules {
+        KdRules { skin, ..self }
+    }
+}
+
+/// What a build came to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct KdStats {
+    /// Cuts at walls.
+    pub wall_cuts: usize,
+    /// Cuts for the number of triangles.
+    pub size_cuts: usize,
+    /// The most cuts above one cell.
+    pub depth: u32,
+    /// Ways from a cell to a neighbour that are sealed, each direction for itself.
+    pub sealed: usize,
+}
+
+/// The leaves of a kD-tree over a scene. Made once, never changed, shared by all workers.
+#[derive(Clone, Debug)]
+pub struct KdTree {
+    nodes: Vec<Node>,
+    cells: Cells,
+    stats: KdStats,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    aabb: Aabb,
+    /// Index of the lower child (the upper follows), or the cell number of a leaf.
+    first: u32,
+    /// Axis of the cut, or [`LEAF`].
+    axis: u8,
+    plane: f64,
+}
+
+const LEAF: u8 = 3;
+
+/// A cell under way.
+struct Open {
+    node: usize,
+    depth: u32,
+    primitives: Vec<u32>,
+    /// The most triangles that its leaves may list together: bounds the memory of any soup.
+    references_max: usize,
+}
+
+/// A cut, and whether a wall is in it.
+struct Cut {
+    axis: usize,
+    plane: f64,
+    wall: bool,
+}
+
+/// References per triangle that a tree may come to, beside [`REFERENCES_FREE`]. Cells share it by what they hold, so it has
+/// to be a good deal more than the 1 to 3 that a building ends with.
+const REFERENCES_PER_TRIANGLE: usize = 40;
+
+/// References that are no matter: small scenes of large walls have many per triangle.
+const REFERENCES_FREE: usize = 1 << 16;
+
+/// Cuts for the number of triangles leave this share of the references to walls.
+const SHARE_OF_WALLS: f64 = 0.7;
+
+/// Cuts tried per axis by the surface-area heuristic.
+const BINS: usize = 16;
+
+/// A cut must leave less than this share of the work (area × triangles) of the whole cell.
+const WORK_MAX: f64 = 0.85;
+
+struct Builder<'a> {
+    scene: &'a Scene,
+    walls: Vec<Option<Wall>>,
+    rules: KdRules,
+    /// Least distance of a cut from the faces of its cell.
+    thickness: f64,
+    /// Reused for the walls of a cell: axis, coordinate, covered area.
+    candidates: Vec<(usize, f64, f64)>,
+}
+
+impl KdTree {
+    /// Cuts the scene's box into cells.
+    pub fn build(scene: &Scene, rules: KdRules) -> KdTree {
+        let root = root_box(scene);
+        let skin = rules.skin.max(0.0).min(1e-4 * root.size().max_element());
+        let grown = skin + rounding_slack(&root);
+        let mut builder = Builder {
+            scene,
+            walls: scene.triangles().iter().map(Wall::of).collect(),
+            rules,
+            thickness: 2.0 * grown,
+            candidates: Vec::new(),
+        };
+        let mut nodes = vec![Node { aabb: root, first: 0, axis: LEAF, plane: 0.0 }];
+        let mut cells = Cells::new(root, skin, scene.triangles().len());
+        let mut stats = KdStats::default();
+        let primitives: Vec<u32> = (0..scene.triangles().len() as u32).collect();
+        let references_max = REFERENCES_PER_TRIANGLE * primitives.len() + REFERENCES_FREE;
+        let mut open = vec![Open { node: 0, depth: 0, primitives, references_max }];
+        while let Some(Open { node, depth, primitives, references_max }) = open.pop() {
+            let aabb = nodes[node].aabb;
+            stats.depth = stats.depth.max(depth);
+            let split = builder.cut(&aabb, depth, &primitives).and_then(|cut| {
+                let (mut lower, mut upper) = (aabb, aabb);
+                lower.max[cut.axis] = cut.plane;
+                upper.min[cut.axis] = cut.plane;
+                let parts = [lower, upper].map(|part| builder.inside(&primitives, &part.inflated(grown)));
+                let count = parts[0].len() + parts[1].len();
+                let useful = cut.wall || parts.iter().any(|part| part.len() < primitives.len());
+                let share = if cut.wall { 1.0 } else { 1.0 - SHARE_OF_WALLS };
+                (useful && count as f64 <= references_max as f64 * share).then_some((cut, [lower, upper], parts))
+            });
+            let Some((cut, boxes, parts)) = split else {
+                nodes[node].first = cells.push(aabb, &primitives);
+                continue;
+            };
+            let first = nodes.len();
+            nodes[node] = Node { aabb, first: first as u32, axis: cut.axis as u8, plane: cut.plane };
+            nodes.extend(boxes.map(|aabb| Node { aabb, first: 0, axis: LEAF, plane: 0.0 }));
+            *if cut.wall { &mut stats.wall_cuts } else { &mut stats.size_cuts } += 1;
+            let count = (parts[0].len() + parts[1].len()).max(1) as f64;
+            for (i, primitives) in parts.into_iter().enumerate().rev() {
+                let share = (references_max as f64 * primitives.len() as f64 / count) as usize;
+                let references_max = share.max(primitives.len());
+                open.push(Open { node: first + i, depth: depth + 1, primitives, references_max });
+            }
+        }
+        link(&nodes, &mut cells);
+        stats.sealed = sealed::seal(scene, &builder.walls, &mut cells);
+        KdTree { nodes, cells, stats }
+    }
+
+    /// What the build came to.
+    pub fn stats(&self) -> KdStats {
+        self.stats
+    }
+
+    fn visit(&self, index: u32, point: DVec3, radius: f64, found: &mut dyn FnMut(CellId)) {
+        let node = &self.nodes[index as usize];
+        if node.aabb.distance(point) > radius {
+        } else if node.axis == LEAF {
+            found(node.first);
+        } else {
+            self.visit(node.first, point, radius, found);
+            self.visit(node.first + 1, point, radius, found);
+        }
+    }
+}
+
+impl Tessellation for KdTree {
+    fn cells(&self) -> &Cells {
+        &self.cells
+    }
+
+    fn cell_at(&self, point: DVec3) -> Option<CellId> {
+        if !self.cells.root().contains(point) {
+            return None;
+        }
+        let mut node = &self.nodes[0];
+        while node.axis != LEAF {
+            node = &self.nodes[node.first as usize + usize::from(point[node.axis as usize] >= node.plane)];
+        }
+        Some(node.first)
+    }
+
+    fn cells_within(&self, point: DVec3, radius: f64, found: &mut dyn FnMut(CellId)) {
+        self.visit(0, point, radius, found);
+    }
+}
+
+impl Builder<'_> {
+    /// Those of the primitives that touch a box.
+    fn inside(&self, primitives: &[u32], aabb: &Aabb) -> Vec<u32> {
+        let touches = |id: &u32| touches(&self.scene.triangles()[*id as usize].corners.map(|c| c.as_dvec3()), aabb);
+        primitives.iter().copied().filter(touches).collect()
+    }
+
+    /// Where to cut a cell, or `None` to leave it whole.
+    fn cut(&mut self, aabb: &Aabb, depth: u32, primitives: &[u32]) -> Option<Cut> {
+        if depth >= self.rules.max_depth.min(60) {
+            return None;
+        }
+        self.wall_cut(aabb, primitives).or_else(|| self.size_cut(aabb, primitives))
+    }
+
+    /// The plane of the walls that cover most of the cell, balanced by where it is: of many like walls the middle one keeps
+    /// the tree low.
+    fn wall_cut(&mut self, aabb: &Aabb, primitives: &[u32]) -> Option<Cut> {
+        self.candidates.clear();
+        for &id in primitives {
+            let Some(wall) = &self.walls[id as usize] else { continue };
+            let [low, high] = [aabb.min[wall.axis] + self.thickness, aabb.max[wall.axis] - self.thickness];
+            if (low..=high).contains(&wall.coordinate) {
+                self.candidates.push((wall.axis, wall.coordinate, wall.area_in(aabb)));
+            }
+        }
+        self.candidates.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let size = aabb.size();
+        let mut best = (0.0, None);
+        for plane in self.candidates.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+            let (axis, coordinate, _) = plane[0];
+            let covered: f64 = plane.iter().map(|candidate| candidate.2).sum();
+            // Walls that lie on each other count twice; no more than everything can be covered.
+            let obscuration = (covered / (size[(axis + 1) % 3] * size[(axis + 2) % 3])).min(1.0);
+            let at = (coordinate - aabb.min[axis]) / size[axis];
+            let score = obscuration * (1.0 + at.min(1.0 - at));
+            if obscuration >= self.rules.min_obscuration && score > best.0 {
+                best = (score, Some(Cut { axis, plane: coordinate, wall: true }));
+            }
+        }
+        best.1
+    }
+
+    /// The cut with the least sum of area × triangles, if the cell holds too many and the cut saves enough.
+    fn size_cut(&self, aabb: &Aabb, primitives: &[u32]) -> Option<Cut> {
+        if primitives.len() <= self.rules.max_triangles_per_leaf.max(1) {
+            return None;
+        }
+        let size = aabb.size();
+        let area = |size: DVec3| size.x * size.y + size.y * size.z + size.z * size.x;
+        let mut best = (WORK_MAX * area(size) * primitives.len() as f64, None);
+        for axis in 0..3 {
+            let width = size[axis] / BINS as f64;
+            if width < self.thickness {
+                continue;
+            }
+            let (mut begins, mut ends) = ([0_usize; BINS], [0_usize; BINS]);
+            for &id in primitives {
+                let along = self.scene.triangles()[id as usize].corners.map(|corner| f64::from(corner[axis]));
+                // Saturating: NaN cannot occur, and what lies outside belongs to the outermost bins.
+                let bin = |at: f64| (((at - aabb.min[axis]) / width) as usize).min(BINS - 1);
+                begins[bin(along.into_iter().fold(f64::INFINITY, f64::min))] += 1;
+                ends[bin(along.into_iter().fold(f64::NEG_INFINITY, f64::max))] += 1;
+            }
+            let (mut below, mut above) = (0, primitives.len());
+            for cut in 1..BINS {
+                below += begins[cut - 1];
+                above -= ends[cut - 1];
+                let (mut lower, mut upper) = (size, size);
+                lower[axis] = width * cut as f64;
+                upper[axis] = size[axis] - lower[axis];
+                let work = area(lower) * below as f64 + area(upper) * above as f64;
+                if work < best.0 {
+                    let plane = aabb.min[axis] + lower[axis];
+                    best = (work, Some(Cut { axis, plane, wall: false }));
+                }
+            }
+        }
+        best.1.filter(|cut| aabb.min[cut.axis] < cut.plane && cut.plane < aabb.max[cut.axis])
+    }
+}
+
+/// Finds the neighbours of each cell, and the hull.
+fn link(nodes: &[Node], cells: &mut Cells) {
+    let mut open = Vec::new();
+    for cell in 0..cells.len() as u32 {
+        let here = *cells.aabb(cell);
+        let mut neighbours = Vec::new();
+        for face in Face::ALL {
+            let axis = face.axis();
+            let plane = if face.is_positive() { here.max[axis] } else { here.min[axis] };
+            open.push(0);
+            while let Some(index) = open.pop() {
+                let Node { aabb, first, axis: cut, .. } = nodes[index as usize];
+                let (min, max) = (aabb.min[axis], aabb.max[axis]);
+                let reaches =
+                    if face.is_positive() { min <= plane && plane < max } else { min < plane && plane <= max };
+                let overlaps = |other: usize| {
+                    other == axis || (aabb.min[other] < here.max[other] && here.min[other] < aabb.max[other])
+                };
+                if !reaches || !(0..3).all(overlaps) {
+                    continue;
+                }
+                if cut == LEAF {
+                    neighbours.push(Neighbour::open(first, face));
+                } else {
+                    open.extend([first + 1, first]);
+                }
+            }
+        }
+        cells.push_neighbours(neighbours);
+    }
+    cells.find_hull();
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::tessellation::laws::{
+        check, check_cells_within, check_points_of_triangles_are_listed, poor_scenes, soup,
+    };
+    use crate::{Sides, Triangle};
+
+    fn small_cells() -> KdRules {
+        KdRules::default().with_max_triangles_per_leaf(8)
+    }
+
+    /// The twelve triangles of a solid box.
+    fn add_box(triangles: &mut Vec<Triangle>, min: [f32; 3], max: [f32; 3]) {
+        let corner =
+            |i: usize| Vec3::from_array(std::array::from_fn(|a| if i >> a & 1 == 0 { min[a] } else { max[a] }));
+        for [a, b, c, d] in [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]] {
+            for corners in [[a, b, c], [a, c, d]] {
+                triangles.push(Triangle { corners: corners.map(corner), sides: Sides::Both, occludes: true });
+            }
+        }
+    }
+
+    /// Two rooms of 6 × 6 × 3 m beside each other along x, with a wall of 0.2 m between, a door in it, and a cupboard.
+    fn two_rooms(furnished: bool) -> Scene {
+        let mut triangles = Vec::new();
+        let mut solid = |min, max| add_box(&mut triangles, min, max);
+        solid([-0.2, -0.2, -0.2], [12.4, 0.0, 6.2]);
+        solid([-0.2, 3.0, -0.2], [12.4, 3.2, 6.2]);
+        for x in [-0.2, 12.2] {
+            solid([x, 0.0, -0.2], [x + 0.2, 3.0, 6.2]);
+        }
+        for z in [-0.2, 6.0] {
+            solid([0.0, 0.0, z], [12.2, 3.0, z + 0.2]);
+        }
+        solid([6.0, 0.0, 0.0], [6.2, 3.0, 2.0]);
+        solid([6.0, 2.1, 2.0], [6.2, 3.0, 3.0]);
+        solid([6.0, 0.0, 3.0], [6.2, 3.0, 6.0]);
+        if furnished {
+            solid([2.0, 0.0, 2.0], [2.8, 2.0, 2.5]);
+        }
+        Scene::from_triangles(triangles)
+    }
+
+    #[test]
+    fn cells_fill_the_root_and_know_their_neighbours() {
+        for seed in 0..4 {
+            let scene = soup(seed, 300);
+            let tree = KdTree::build(&scene, small_cells());
+            assert!(tree.cell_count() > 20);
+            check(&scene, &tree);
+            assert!(check_cells_within(&tree, tree.root().centre(), 3.0) > 1);
+        }
+    }
+
+    #[test]
+    fn every_point_of_a_triangle_lies_in_cells_that_list_it_and_so_does_every_point_within_the_skin() {
+        let scene = soup(7, 300);
+        check_points_of_triangles_are_listed(&scene, &KdTree::build(&scene, small_cells()), 8);
+        let rooms = two_rooms(true);
+        check_points_of_triangles_are_listed(&rooms, &KdTree::build(&rooms, small_cells()), 9);
+    }
+
+    #[test]
+    fn degenerate_scenes_have_cells_too() {
+        for scene in poor_scenes() {
+            for rules in [
+                small_cells(),
+                KdRules::default().with_min_obscuration(0.0).with_skin(-1.0),
+                small_cells().with_skin(f64::INFINITY),
+            ] {
+                let tree = KdTree::build(&scene, rules);
+                check(&scene, &tree);
+                assert!(tree.cells().reference_count() >= scene.triangles().len());
+            }
+        }
+    }
+
+    #[test]
+    fn a_room_is_a_cell_with_or_without_furniture() {
+        for furnished in [false, true] {
+            let scene = two_rooms(furnished);
+            let tree = KdTree::build(&scene, KdRules::default());
+            check(&scene, &tree);
+            for x in [0.0_f64, 6.2] {
+                let cell = tree.cell(tree.cell_at(DVec3::new(x + 1.0, 1.0, 1.0)).unwrap());
+                // Wall coordinates are f32.
+                let room = Aabb::new(DVec3::new(x, 0.0, 0.0), DVec3::new(x + 6.0, 3.0, 6.0));
+                assert!((cell.min - room.min).abs().max_element() < 1e-6, "{cell:?}");
+                assert!((cell.max - room.max).abs().max_element() < 1e-6, "{cell:?}");
+            }
+            assert!(tree.cell_count() < 60, "{}", tree.cell_count());
+        }
+    }
+
+    #[test]
+    fn a_room_leads_on_through_its_door_only() {
+        let tree = KdTree::build(&two_rooms(true), KdRules::default());
+        let room = tree.cell_at(DVec3::new(1.0, 1.0, 1.0)).unwrap();
+        let open: Vec<&Neighbour> = tree.neighbours(room).iter().filter(|n| !n.is_sealed()).collect();
+        assert_eq!(open.len(), 1, "{open:?}");
+        let door = tree.cells().shared(room, open[0]);
+        assert!((door.min - DVec3::new(6.0, 0.0, 2.0)).abs().max_element() < 1e-6, "{door:?}");
+        assert!((door.max - DVec3::new(6.0, 2.1, 3.0)).abs().max_element() < 1e-6, "{door:?}");
+        // The opening leads to both rooms, and nowhere else.
+        let beyond = tree.neighbours(open[0].cell).iter().filter(|n| !n.is_sealed()).count();
+        assert_eq!(beyond, 2);
+    }
+
+    #[test]
+    fn soups_do_not_blow_up() {
+        // Long thin triangles through everything: the worst for any cut.
+        let mut triangles = soup(3, 4000).triangles().to_vec();
+        for (i, triangle) in triangles.iter_mut().enumerate() {
+            triangle.corners[1] = Vec3::from_array(std::array::from_fn(|axis| ((i * (axis + 7)) % 21) as f32 - 10.0));
+        }
+        let scene = Scene::from_triangles(triangles);
+        let tree = KdTree::build(&scene, KdRules::default().with_max_triangles_per_leaf(1));
+        assert!(tree.cells().reference_count() <= REFERENCES_PER_TRIANGLE * 4000 + REFERENCES_FREE);
+        assert_eq!(tree.stats().wall_cuts, 0);
+    }
+
+    #[test]
+    fn walls_that_cross_everywhere_do_not_blow_up() {
+        let mut triangles = Vec::new();
+        for i in 0..300_u32 {
+            let at = (i * 61 % 300) as f32 / 30.0;
+            let axis = (i % 3) as usize;
+            let corner = |u: f32, v: f32| {
+                let mut corner = Vec3::splat(at);
+                corner[(axis + 1) % 3] = u;
+                corner[(axis + 2) % 3] = v;
+                corner
+            };
+            for corners in
+                [[corner(0., 0.), corner(10., 0.), corner(10., 9.)], [corner(0., 0.), corner(10., 9.), corner(0., 9.)]]
+            {
+                triangles.push(Triangle { corners, sides: Sides::Both, occludes: true });
+            }
+        }
+        let scene = Scene::from_triangles(triangles);
+        let tree = KdTree::build(&scene, KdRules::default());
+        assert!(tree.stats().wall_cuts > 1000);
+        assert!(tree.cells().reference_count() <= REFERENCES_PER_TRIANGLE * 600 + REFERENCES_FREE);
+    }
+}
