@@ -53,6 +53,10 @@ pub struct Traversal {
     pub doubted: usize,
     /// Triangles drawn, each once: the size of the visible set.
     pub triangles_drawn: usize,
+    /// Polygons drawn as occluders, where these are not the triangles of the visible set.
+    pub polygons_drawn: usize,
+    /// Boxes of objects and clusters asked about.
+    pub bounds_tested: usize,
 }
 
 /// PLP and cPLP over the cells of a tessellation. Never changes once made, so that workers can share it.

@@ -9,6 +9,7 @@
 mod all_round;
 mod all_round_cells;
 mod bound;
+mod clusters;
 mod cplp;
 mod culler;
 mod dynamic_index;
@@ -16,6 +17,7 @@ mod facets;
 mod kd_tree;
 mod load;
 mod masked;
+mod masked_cplp;
 mod occluders;
 mod occlusion;
 mod octree;
@@ -31,6 +33,7 @@ mod view;
 pub use all_round::{AllRound, AllRoundScratch, AllRoundStats};
 pub use all_round_cells::{AllRoundCells, AllRoundCellsScratch};
 pub use bound::{Aabb, Bound};
+pub use clusters::{CellClusters, Clusters};
 pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
 pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, Scratch, ZBuffer, exact_set, wrong_pixels};
 pub use dynamic_index::DynamicOctree;
@@ -39,6 +42,7 @@ pub use load::{
     LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats, pack_glb,
 };
 pub use masked::{Coverage, MaskedDepth, MaskedStats, SimdLevel};
+pub use masked_cplp::{MaskedCplp, MaskedCplpScratch};
 pub use occluders::Occluders;
 pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use octree::{Octree, OctreeRules};
