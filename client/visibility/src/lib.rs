@@ -9,6 +9,7 @@
 mod all_round;
 mod all_round_cells;
 mod bound;
+mod clusters;
 mod cplp;
 mod culler;
 mod dynamic_index;
@@ -29,6 +30,7 @@ mod view;
 pub use all_round::{AllRound, AllRoundScratch, AllRoundStats};
 pub use all_round_cells::{AllRoundCells, AllRoundCellsScratch};
 pub use bound::{Aabb, Bound};
+pub use clusters::{CellClusters, Clusters};
 pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
 pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, Scratch, ZBuffer, exact_set, wrong_pixels};
 pub use dynamic_index::DynamicOctree;
