@@ -27,7 +27,7 @@ pub struct KdRules {
     /// The least share of a cell's cross-section that a wall must cover for a cut, from 0 to 1. Lower: smaller walls cut
     /// whole rooms apart. Default 0.4.
     pub min_obscuration: f64,
-    /// Metres by which a cell is grown to find its triangles, cut to 10⁻⁴ of the scene. Sampled images believe a sealed
+    /// Metres by which a cell is grown to find its triangles, cut to 0.0004 of the scene's size. Sampled images believe a sealed
     /// face only while its depth moves less than this over a hundredth of a pixel, so more lets seals work at lower
     /// resolutions, steeper and farther away; it lists more triangles twice. Default 0.01. No cell is thinner than twice this.
     pub skin: f64,
@@ -120,6 +120,9 @@ const REFERENCES_FREE: usize = 1 << 16;
 /// Cuts for the number of triangles leave this share of the references to walls.
 const SHARE_OF_WALLS: f64 = 0.7;
 
+/// The root box goes beyond the scene by a thousandth, and the outermost walls must be far enough inside it to be cut at.
+const SKIN_SHARE: f64 = 4e-4;
+
 /// Cuts tried per axis by the surface-area heuristic.
 const BINS: usize = 16;
 
@@ -140,7 +143,7 @@ impl KdTree {
     /// Cuts the scene's box into cells.
     pub fn build(scene: &Scene, rules: KdRules) -> KdTree {
         let root = root_box(scene);
-        let skin = rules.skin.max(0.0).min(1e-4 * root.size().max_element());
+        let skin = rules.skin.max(0.0).min(SKIN_SHARE * root.size().max_element());
         let grown = skin + rounding_slack(&root);
         let mut builder = Builder {
             scene,
