@@ -190,7 +190,7 @@ impl Cplp {
         target: &mut T,
         scratch: &mut CplpScratch,
     ) -> Traversal {
-        self.run(scene, eye, budget, target, scratch, true)
+        self.run(scene, eye, budget, target, scratch, |run| run.conservative())
     }
 
     /// PLP alone: stops when the budget is spent, whatever is still visible. Not conservative.
@@ -202,26 +202,25 @@ impl Cplp {
         target: &mut T,
         scratch: &mut CplpScratch,
     ) -> Traversal {
-        self.run(scene, eye, budget, target, scratch, false)
+        self.run(scene, eye, budget, target, scratch, |_| ())
     }
 
-    fn run<T: Target>(
+    /// PLP to its budget, then what `after_plp` does with the front.
+    pub(crate) fn run<T: Target>(
         &self,
         scene: &Scene,
         eye: EyeRegion,
         budget: Budget,
         target: &mut T,
         scratch: &mut CplpScratch,
-        conservative: bool,
+        after_plp: impl FnOnce(&mut Run<'_, T>),
     ) -> Traversal {
         assert_eq!(scene.triangles().len(), self.octree.primitive_total(), "the octree is another scene's");
         let mut run = Run { octree: &self.octree, eye: eye.centre, target, scratch, done: Traversal::default() };
         run.scratch.begin(&self.octree);
         run.seed(eye);
         run.plp(budget);
-        if conservative {
-            run.conservative();
-        }
+        after_plp(&mut run);
         run.scratch.visible.sort_unstable();
         run.done.triangles_drawn = run.scratch.visible.len();
         run.done
@@ -229,12 +228,12 @@ impl Cplp {
 }
 
 /// One traversal under way.
-struct Run<'a, T> {
+pub(crate) struct Run<'a, T> {
     octree: &'a Octree,
     eye: DVec3,
-    target: &'a mut T,
+    pub(crate) target: &'a mut T,
     scratch: &'a mut CplpScratch,
-    done: Traversal,
+    pub(crate) done: Traversal,
 }
 
 impl<T: Target> Run<'_, T> {
@@ -304,8 +303,31 @@ impl<T: Target> Run<'_, T> {
         self.scratch.round = round;
     }
 
+    /// Takes all cells out of the front, the least solid one first.
+    pub(crate) fn take_front(&mut self, cells: &mut Vec<CellId>) {
+        cells.clear();
+        while let Some(cell) = self.scratch.pop() {
+            cells.push(cell);
+        }
+    }
+
+    /// Gives up a cell that was found hidden.
+    pub(crate) fn hide(&mut self, cell: CellId) {
+        self.scratch.set_done(cell);
+    }
+
+    /// The box of a cell.
+    pub(crate) fn aabb(&self, cell: CellId) -> &Aabb {
+        self.octree.cell(cell)
+    }
+
+    /// Number of triangles drawn so far.
+    pub(crate) fn triangles_drawn(&self) -> usize {
+        self.scratch.visible.len()
+    }
+
     /// Draws what a cell holds, and puts its neighbours into the front.
-    fn project(&mut self, cell: CellId) {
+    pub(crate) fn project(&mut self, cell: CellId) {
         self.scratch.set_done(cell);
         self.done.cells_projected += 1;
         let scratch = &mut *self.scratch;

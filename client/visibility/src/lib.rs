@@ -12,12 +12,16 @@ mod bound;
 mod cplp;
 mod culler;
 mod dynamic_index;
+mod front_to_back;
+mod hierarchical_z;
 mod load;
 mod occluders;
 mod occlusion;
 mod octree;
+mod query;
 mod raster_sampled;
 mod ray;
+mod rounds;
 mod scene;
 mod under;
 mod under_face;
@@ -29,14 +33,21 @@ pub use bound::{Aabb, Bound};
 pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
 pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, Scratch, ZBuffer, exact_set, wrong_pixels};
 pub use dynamic_index::DynamicOctree;
+pub use front_to_back::QueryFrontToBack;
+pub use hierarchical_z::HierarchicalZ;
 pub use load::{
     LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats, pack_glb,
 };
 pub use occluders::Occluders;
 pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use octree::{CellId, Face, Neighbour, Octree, OctreeRules};
+pub use query::{
+    CplpQueryCuller, CpuQuery, HistogramQuery, ItemBufferQuery, OneAtATimeQuery, PerFragmentHistogram, QueryBackEnd,
+    QueryCost, QueryKind, TILE_SIDE,
+};
 pub use raster_sampled::{DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
 pub use ray::{Hit, RayScene, image_ray, pixel_ray};
+pub use rounds::{Round, RoundsTraversal};
 pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
 pub use under::{RegionError, UnderOcclusion, UnderStats};
 pub use view::{EyeRegion, Resolution, View};
