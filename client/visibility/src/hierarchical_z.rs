@@ -183,3 +183,61 @@ fn sees_in_row(depth: &DepthBuffer, image: &BoxImage, x: [usize; 2], row: usize)
     depth.count_z_tests(columns[1] + 1 - columns[0]);
     image.front(row, columns).passing(0, &depth.row(row)[columns[0]..=columns[1]]) > 0
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec3, Vec3};
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    use super::*;
+    use crate::query::test;
+    use crate::{Resolution, Sides, Triangle};
+
+    #[test]
+    fn the_pyramid_says_what_all_pixels_say_whatever_was_drawn_in_between() {
+        let mut rng = Pcg64::seed_from_u64(1);
+        let (mut asked, mut seen, mut different, mut values, mut pixels) = (0, 0, 0, 0, 0);
+        for resolution in [Resolution::new(1, 1), Resolution::new(9, 200), Resolution::new(150, 97)] {
+            for _ in 0..4 {
+                let view = View::level(DVec3::ZERO, 0.0, 1.5, resolution);
+                let mut any = |reach: f32| Vec3::from_array(std::array::from_fn(|_| rng.random_range(-reach..reach)));
+                let triangles = (0..80)
+                    .map(|_| {
+                        let at = any(4.0) - Vec3::Z * 6.0;
+                        let corners = std::array::from_fn(|_| at + any(2.5));
+                        Triangle { corners, sides: Sides::Both, occludes: true }
+                    })
+                    .collect();
+                let boxes: Vec<Aabb> = (0..20)
+                    .map(|_| {
+                        let centre = any(8.0) - Vec3::Z * 12.0;
+                        Aabb::around(centre.as_dvec3(), any(1.0).abs().as_dvec3())
+                    })
+                    .collect();
+                let scene = Scene::from_triangles(triangles);
+                let mut depth = DepthBuffer::new(&view);
+                let mut pyramid = ZPyramid::default();
+                pyramid.begin(&depth);
+                for id in 0..80 {
+                    depth.draw(&scene, &[id]);
+                    pyramid.mark_drawn(&mut depth);
+                    for aabb in &boxes {
+                        let before = depth.z_tests();
+                        let whole = pyramid.sees(&depth, aabb);
+                        values += depth.z_tests() - before;
+                        let (single, cost) = test(&depth, aabb);
+                        pixels += cost.z_tests;
+                        asked += 1;
+                        seen += u32::from(whole);
+                        different += u32::from(whole != single);
+                    }
+                }
+            }
+        }
+        // Depths along a row are rounded from where it begins, which is another column in a tile: ties may differ.
+        assert!(different * 1000 <= asked, "{different} of {asked}");
+        assert!(seen * 10 > asked && seen * 10 < asked * 9, "{seen} of {asked}");
+        assert!(values * 2 < pixels, "{values} for {pixels} pixels");
+    }
+}
