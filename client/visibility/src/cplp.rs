@@ -232,7 +232,7 @@ impl Cplp {
         target: &mut T,
         scratch: &mut CplpScratch,
     ) -> Traversal {
-        self.run(scene, eye, budget, target, scratch, true)
+        self.run(scene, eye, budget, target, scratch, |run| run.conservative())
     }
 
     /// PLP alone: stops when the budget is spent, whatever is still visible. Not conservative.
@@ -244,17 +244,18 @@ impl Cplp {
         target: &mut T,
         scratch: &mut CplpScratch,
     ) -> Traversal {
-        self.run(scene, eye, budget, target, scratch, false)
+        self.run(scene, eye, budget, target, scratch, |_| ())
     }
 
-    fn run<T: Target>(
+    /// PLP to its budget, then what `after_plp` does with the front.
+    pub(crate) fn run<T: Target>(
         &self,
         scene: &Scene,
         eye: EyeRegion,
         budget: Budget,
         target: &mut T,
         scratch: &mut CplpScratch,
-        conservative: bool,
+        after_plp: impl FnOnce(&mut Run<'_, T>),
     ) -> Traversal {
         let cells = self.tessellation.cells();
         assert_eq!(scene.triangles().len(), cells.primitive_total(), "the cells are another scene's");
@@ -262,9 +263,7 @@ impl Cplp {
         run.scratch.begin(cells);
         run.seed(eye, &*self.tessellation);
         run.plp(budget);
-        if conservative {
-            run.conservative();
-        }
+        after_plp(&mut run);
         run.scratch.visible.sort_unstable();
         run.done.triangles_drawn = run.scratch.visible.len();
         run.done
@@ -272,12 +271,12 @@ impl Cplp {
 }
 
 /// One traversal under way.
-struct Run<'a, T> {
+pub(crate) struct Run<'a, T> {
     cells: &'a Cells,
     eye: DVec3,
-    target: &'a mut T,
+    pub(crate) target: &'a mut T,
     scratch: &'a mut CplpScratch,
-    done: Traversal,
+    pub(crate) done: Traversal,
 }
 
 impl<T: Target> Run<'_, T> {
@@ -348,8 +347,31 @@ impl<T: Target> Run<'_, T> {
         self.scratch.round = round;
     }
 
+    /// Takes all cells out of the front, the least solid one first.
+    pub(crate) fn take_front(&mut self, cells: &mut Vec<CellId>) {
+        cells.clear();
+        while let Some(cell) = self.scratch.pop() {
+            cells.push(cell);
+        }
+    }
+
+    /// Gives up a cell that was found hidden.
+    pub(crate) fn hide(&mut self, cell: CellId) {
+        self.scratch.set_done(cell);
+    }
+
+    /// The box of a cell.
+    pub(crate) fn aabb(&self, cell: CellId) -> &Aabb {
+        self.cells.aabb(cell)
+    }
+
+    /// Number of triangles drawn so far.
+    pub(crate) fn triangles_drawn(&self) -> usize {
+        self.scratch.visible.len()
+    }
+
     /// Draws what a cell holds, and puts its neighbours into the front.
-    fn project(&mut self, cell: CellId) {
+    pub(crate) fn project(&mut self, cell: CellId) {
         self.scratch.set_done(cell);
         self.scratch.projected.push(cell);
         self.done.cells_projected += 1;

@@ -2,10 +2,12 @@
 
 use std::sync::Arc;
 
+use crate::front_to_back::Leaves;
+use crate::hierarchical_z::ZPyramid;
 use crate::raster_sampled::Coverage;
 use crate::{
-    Aabb, Bound, Budget, Cplp, CplpScratch, DepthBuffer, EyeRegion, ItemBuffer, Occlusion, OctreeRules, Resolution,
-    Scene, Traversal, View,
+    Aabb, Bound, Budget, Cplp, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, ItemBuffer, Occlusion, OctreeRules,
+    QueryBackEnd, QueryKind, Resolution, Scene, Traversal, View,
 };
 
 /// A static culler. Shared by workers, each of which brings its scratch.
@@ -21,37 +23,81 @@ pub struct Culled {
     pub visible: Vec<u32>,
     /// What the traversal did; zeros for cullers without one.
     pub traversal: Traversal,
+    /// Comparisons of depths that the culler made, drawing occluders and queries included (Klosowski & Silva 2001, §4). 0 for
+    /// cullers that draw nothing: there, count those of the picture ([`ItemBuffer::z_tests`]).
+    pub z_tests: u64,
 }
 
 /// What one worker needs to cull, kept from frame to frame.
 #[derive(Clone, Debug)]
 pub struct Scratch {
-    cplp: CplpScratch,
-    depth: DepthBuffer,
-    /// Whether `depth` speaks for the region of the last cull.
-    occludes: bool,
+    pub(crate) cplp: CplpScratch,
+    pub(crate) depth: DepthBuffer,
+    pub(crate) leaves: Leaves,
+    pub(crate) pyramid: ZPyramid,
+    query: Option<(QueryKind, CpuQuery)>,
+    speaker: Speaker,
+}
+
+/// What knows the depths that speak for the region of the last cull.
+#[derive(Clone, Copy, Debug)]
+enum Speaker {
+    Nothing,
+    Depth,
+    Query,
 }
 
 impl Default for Scratch {
     fn default() -> Scratch {
         let nowhere = View::level(glam::DVec3::ZERO, 0.0, 1.0, Resolution::new(0, 0));
-        Scratch { cplp: CplpScratch::default(), depth: DepthBuffer::new(&nowhere), occludes: false }
+        Scratch {
+            cplp: CplpScratch::default(),
+            depth: DepthBuffer::new(&nowhere),
+            leaves: Leaves::default(),
+            pyramid: ZPyramid::default(),
+            query: None,
+            speaker: Speaker::Nothing,
+        }
     }
 }
 
 impl Scratch {
     /// What the last cull knows to be hidden: in that view and at that resolution (see [`DepthBuffer`]).
     pub fn occlusion(&self) -> &dyn Occlusion {
-        if self.occludes { &self.depth } else { &NothingHidden }
+        match (self.speaker, &self.query) {
+            (Speaker::Depth, _) => &self.depth,
+            (Speaker::Query, Some((_, query))) => query.depth(),
+            _ => &NothingHidden,
+        }
     }
 
     /// Starts a frame; whether the depth buffer can speak for `region` at all.
-    fn begin(&mut self, view: &View, region: EyeRegion) -> bool {
-        self.occludes = region == EyeRegion::point(view.eye);
-        if self.occludes {
+    pub(crate) fn begin(&mut self, view: &View, region: EyeRegion) -> bool {
+        let speaks = region == EyeRegion::point(view.eye);
+        self.speaker = if speaks { Speaker::Depth } else { Speaker::Nothing };
+        if speaks {
             self.depth.begin(view);
         }
-        self.occludes
+        speaks
+    }
+
+    /// Likewise for a culler that draws into a query back end instead. The back end is kept while its kind is.
+    pub(crate) fn begin_query(
+        &mut self,
+        view: &View,
+        region: EyeRegion,
+        kind: QueryKind,
+    ) -> Option<(&mut CpuQuery, &mut CplpScratch)> {
+        if region != EyeRegion::point(view.eye) {
+            self.speaker = Speaker::Nothing;
+            return None;
+        }
+        self.speaker = Speaker::Query;
+        let (_, query) = match self.query.take() {
+            Some(kept) if kept.0 == kind => self.query.insert(kept),
+            _ => self.query.insert((kind, kind.back_end())),
+        };
+        Some((query, &mut self.cplp))
     }
 }
 
@@ -119,7 +165,7 @@ impl Culler for FrustumBackface {
                 visible.extend((first..).zip(run).filter(|(_, t)| coverage.may_draw(t)).map(|(id, _)| id));
             }
         }
-        Culled { visible, traversal: Traversal::default() }
+        Culled { visible, ..Culled::default() }
     }
 }
 
@@ -160,12 +206,12 @@ impl Culler for CplpCuller {
         }
         let mut target = scratch.depth.target(&self.scene);
         let traversal = self.cplp.traverse(&self.scene, region, self.budget, &mut target, &mut scratch.cplp);
-        Culled { visible: scratch.cplp.visible().to_vec(), traversal }
+        Culled { visible: scratch.cplp.visible().to_vec(), traversal, z_tests: scratch.depth.z_tests() }
     }
 }
 
-fn everything(scene: &Scene) -> Culled {
-    Culled { visible: (0..scene.triangles().len() as u32).collect(), traversal: Traversal::default() }
+pub(crate) fn everything(scene: &Scene) -> Culled {
+    Culled { visible: (0..scene.triangles().len() as u32).collect(), ..Culled::default() }
 }
 
 /// The exact set of a view, ascending, and the item buffer of everything that proves it: the plain Z-buffer's picture.

@@ -14,6 +14,8 @@ mod cplp;
 mod culler;
 mod dynamic_index;
 mod facets;
+mod front_to_back;
+mod hierarchical_z;
 mod kd_tree;
 mod load;
 mod masked;
@@ -21,8 +23,10 @@ mod masked_cplp;
 mod occluders;
 mod occlusion;
 mod octree;
+mod query;
 mod raster_sampled;
 mod ray;
+mod rounds;
 mod scene;
 mod sealed;
 mod tessellation;
@@ -37,6 +41,8 @@ pub use clusters::{CellClusters, Clusters};
 pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
 pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, Scratch, ZBuffer, exact_set, wrong_pixels};
 pub use dynamic_index::DynamicOctree;
+pub use front_to_back::QueryFrontToBack;
+pub use hierarchical_z::HierarchicalZ;
 pub use kd_tree::{KdRules, KdStats, KdTree};
 pub use load::{
     LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats, pack_glb,
@@ -46,8 +52,13 @@ pub use masked_cplp::{MaskedCplp, MaskedCplpScratch};
 pub use occluders::Occluders;
 pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use octree::{Octree, OctreeRules};
+pub use query::{
+    CplpQueryCuller, CpuQuery, HistogramQuery, ItemBufferQuery, OneAtATimeQuery, PerFragmentHistogram, QueryBackEnd,
+    QueryCost, QueryKind, TILE_SIDE,
+};
 pub use raster_sampled::{DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
 pub use ray::{Hit, RayScene, image_ray, pixel_ray};
+pub use rounds::{Round, RoundsTraversal};
 pub use scene::{Node, ObjectMesh, Scene, Sides, Triangle};
 pub use sealed::SealedFace;
 pub use tessellation::{CellId, Cells, Face, Neighbour, Tessellation};

@@ -5,12 +5,15 @@
 //! cPLP's queries. Both draw with the same arithmetic (`setup`), so that a pixel's depth depends on the view and the
 //! triangle only. That is what makes "hidden in the one" mean "cannot win in the other".
 
+mod boxes;
 mod depth;
 mod seal;
 pub(crate) mod setup;
 
 use glam::DVec3;
 
+pub(crate) use boxes::{BoxImage, BoxPlace};
+pub(crate) use depth::TILE;
 pub use depth::{DepthBuffer, SampledTarget};
 use setup::Projector;
 
@@ -40,6 +43,7 @@ pub struct ItemBuffer {
     scissor: PixelRect,
     ids: Vec<u32>,
     depths: Vec<f32>,
+    z_tests: u64,
 }
 
 impl ItemBuffer {
@@ -54,6 +58,7 @@ impl ItemBuffer {
             scissor: PixelRect::whole(view.resolution),
             ids: Vec::new(),
             depths: Vec::new(),
+            z_tests: 0,
         };
         buffer.begin(view);
         buffer
@@ -68,6 +73,7 @@ impl ItemBuffer {
         self.ids.resize(view.resolution.pixels(), ItemBuffer::NONE);
         self.depths.clear();
         self.depths.resize(view.resolution.pixels(), 0.0);
+        self.z_tests = 0;
     }
 
     /// Draws only in this part of the image from now on. The pixels in it get what they would get without it.
@@ -98,7 +104,7 @@ impl ItemBuffer {
     #[inline]
     pub fn draw_corners(&mut self, id: u32, corners: [DVec3; 3], sides: Sides) {
         debug_assert!(id != ItemBuffer::NONE);
-        let (ids, depths) = (&mut self.ids, &mut self.depths);
+        let (ids, depths, z_tests) = (&mut self.ids, &mut self.depths, &mut self.z_tests);
         let width = self.resolution.width as usize;
         let [x_least, x_end] = self.scissor.x.map(|x| x.min(self.resolution.width) as i32);
         let [y_least, y_end] = self.scissor.y.map(|y| y.min(self.resolution.height) as i32);
@@ -106,6 +112,7 @@ impl ItemBuffer {
             piece.spans([y_least, y_end - 1], |y, first, last, ramp| {
                 let (from, end) = (first.max(x_least), (last + 1).min(x_end));
                 if from < end {
+                    *z_tests += (end - from) as u64;
                     let row = y as usize * width;
                     let stretch = row + from as usize..row + end as usize;
                     ramp.draw_items(from - first, &mut depths[stretch.clone()], &mut ids[stretch], id);
@@ -133,6 +140,12 @@ impl ItemBuffer {
     /// The reversed depth of each pixel's winner, near / distance along the view direction; 0 where there is none.
     pub fn depths(&self) -> &[f32] {
         &self.depths
+    }
+
+    /// Comparisons of depths since the last `begin`: one for each pixel centre that a triangle covers, whether it wins or
+    /// not. Over the number of pixels it is the depth complexity of Klosowski & Silva 2001, §4.
+    pub fn z_tests(&self) -> u64 {
+        self.z_tests
     }
 
     /// The ids that own a pixel, ascending, each once. Of everything drawn: the exact set.

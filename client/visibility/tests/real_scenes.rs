@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, Budget, Cplp, CplpCuller, Culler, EyeRegion, FrustumBackface, KdRules, KdTree, LoadOptions, Resolution,
-    Scene, Scratch, Tessellation, View, exact_set, load_file, wrong_pixels,
+    Aabb, Budget, Cplp, CplpCuller, CplpQueryCuller, Culler, EyeRegion, FrustumBackface, HierarchicalZ, KdRules,
+    KdTree, LoadOptions, Octree, OctreeRules, QueryFrontToBack, QueryKind, Resolution, Scene, Scratch, Tessellation,
+    View, exact_set, load_file, wrong_pixels,
 };
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
@@ -101,5 +102,42 @@ fn real_scenes_are_culled_without_error() {
             "{name}: {} triangles; VF-BF {frustum}, cPLP {cplp}, in a kD-tree {kd} per view",
             scene.triangles().len()
         );
+    }
+}
+
+#[test]
+fn query_back_ends_and_baselines_cull_real_scenes_without_error() {
+    for file in scene_files() {
+        let scene = Arc::new(load_file(&file, &LoadOptions::default()).unwrap());
+        let octree = Octree::build(&scene, OctreeRules::default());
+        let cplp = Arc::new(Cplp::new(octree.clone()));
+        let octree = Arc::new(octree);
+        let mut cullers: Vec<(&str, Box<dyn Culler>)> = vec![
+            ("front to back", Box::new(QueryFrontToBack::new(scene.clone(), octree.clone()))),
+            ("hierarchical Z", Box::new(HierarchicalZ::new(scene.clone(), octree))),
+        ];
+        for query in QueryKind::ALL {
+            let culler = CplpQueryCuller::new(scene.clone(), cplp.clone(), Budget::default(), query);
+            cullers.push((query.name(), Box::new(culler)));
+        }
+        let standing = standing_eyes(&file, &scene);
+        let mut scratch = Scratch::default();
+        let mut rng = Pcg64::seed_from_u64(22);
+        for i in 0..8 {
+            let resolution = Resolution::new(64 << (i % 2), 64 << (i % 2));
+            let eye = if i < 4 && !standing.is_empty() {
+                standing[rng.random_range(0..standing.len())]
+            } else {
+                anywhere(&mut rng, &scene.bounds().inflated(scene.bounds().size().max_element() * 0.1))
+            };
+            let view = made::any_view(&mut rng, eye, resolution);
+            let (exact, items) = exact_set(&scene, &view);
+            for (name, culler) in &cullers {
+                let visible = culler.cull(&view, EyeRegion::point(view.eye), &mut scratch).visible;
+                let missing = exact.iter().filter(|id| visible.binary_search(id).is_err()).count();
+                let wrong = wrong_pixels(&scene, &view, &visible, &items);
+                assert_eq!((missing, wrong), (0, 0), "{name} in {} from {view:?}", file.display());
+            }
+        }
     }
 }

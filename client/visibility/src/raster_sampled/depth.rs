@@ -2,12 +2,13 @@
 
 use std::cell::Cell;
 
+use super::boxes::{BoxImage, BoxPlace};
 use super::seal;
 use super::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
 use crate::{Aabb, Bound, Occlusion, Scene, SealedFace, Target, View};
 
 /// Side of a tile in pixels.
-const TILE: usize = 8;
+pub(crate) const TILE: usize = 8;
 
 /// Depths of the occluders of one view, and the farthest of each tile.
 ///
@@ -22,7 +23,13 @@ pub struct DepthBuffer {
     /// At most the least (farthest) depth of each tile's pixels. Equal to it unless `stale`.
     farthest: Vec<Cell<f32>>,
     stale: Vec<Cell<bool>>,
+    /// Tiles that may have changed since they were asked for: first and last column, first and last row.
+    drawn: [usize; 4],
+    z_tests: Cell<u64>,
 }
+
+/// No tile.
+const NO_TILES: [usize; 4] = [usize::MAX, 0, usize::MAX, 0];
 
 impl DepthBuffer {
     /// An empty image of a view.
@@ -33,6 +40,8 @@ impl DepthBuffer {
             tiles_x: 0,
             farthest: Vec::new(),
             stale: Vec::new(),
+            drawn: NO_TILES,
+            z_tests: Cell::new(0),
         };
         buffer.begin(view);
         buffer
@@ -57,6 +66,15 @@ impl DepthBuffer {
         self.farthest.resize(self.tiles_x * tiles_y, Cell::new(0.0));
         self.stale.clear();
         self.stale.resize(self.tiles_x * tiles_y, Cell::new(false));
+        self.drawn = NO_TILES;
+        self.z_tests.set(0);
+    }
+
+    /// Comparisons of depths since the last `begin`, as the papers count depth complexity (Klosowski & Silva 2001, §4): one
+    /// for each pixel centre that a triangle covers, whether it wins or not, and one for each pixel or tile that a query
+    /// looks at.
+    pub fn z_tests(&self) -> u64 {
+        self.z_tests.get()
     }
 
     /// The target that draws primitives of `scene` into this image.
@@ -69,6 +87,8 @@ impl DepthBuffer {
         let stride = self.tiles_x * TILE;
         let (depths, stale, tiles_x) = (&mut self.depths, &self.stale, self.tiles_x);
         let last_row = self.projector.height - 1;
+        let drawn = &mut self.drawn;
+        let mut z_tests = 0;
         for &id in primitives {
             let triangle = &scene.triangles()[id as usize];
             if !triangle.occludes {
@@ -76,15 +96,19 @@ impl DepthBuffer {
             }
             self.projector.pieces(triangle.corners.map(|corner| corner.as_dvec3()), triangle.sides, |piece| {
                 let [from, to] = piece.x.map(|x| x as usize / TILE);
-                for tile_y in piece.y[0] as usize / TILE..=piece.y[1] as usize / TILE {
+                let [top, bottom] = piece.y.map(|y| y as usize / TILE);
+                *drawn = [drawn[0].min(from), drawn[1].max(to), drawn[2].min(top), drawn[3].max(bottom)];
+                for tile_y in top..=bottom {
                     stale[tile_y * tiles_x + from..=tile_y * tiles_x + to].iter().for_each(|stale| stale.set(true));
                 }
                 piece.spans([0, last_row], |y, first, last, ramp| {
                     let row = y as usize * stride;
                     ramp.draw_depths(0, &mut depths[row + first as usize..=row + last as usize]);
+                    z_tests += (last - first + 1) as u64;
                 });
             });
         }
+        self.z_tests.set(self.z_tests.get() + z_tests);
     }
 
     /// Whether any pixel centre may see any of the box, whatever was drawn.
@@ -93,7 +117,7 @@ impl DepthBuffer {
     }
 
     /// What the image can say about a box before it looks at depths.
-    fn place(&self, aabb: &Aabb) -> Place {
+    pub(super) fn place(&self, aabb: &Aabb) -> Place {
         let projector = &self.projector;
         if aabb.contains(projector.eye()) {
             return Place::Touching;
@@ -143,11 +167,13 @@ impl DepthBuffer {
             Place::In { x, y, z } => (y[0] / TILE..=y[1] / TILE).any(|tile_y| {
                 let tiles = tile_y * self.tiles_x + x[0] / TILE..=tile_y * self.tiles_x + x[1] / TILE;
                 let mut tile_x = x[0] / TILE;
-                self.farthest[tiles].iter().any(|farthest| {
+                let seen = self.farthest[tiles].iter().any(|farthest| {
                     let seen = farthest.get() <= z && self.sees_in_tile(tile_x, tile_y, x, y, z);
                     tile_x += 1;
                     seen
-                })
+                });
+                self.count_z_tests(tile_x - x[0] / TILE);
+                seen
             }),
         }
     }
@@ -155,6 +181,25 @@ impl DepthBuffer {
     /// Whether any pixel of the tile in the rectangle is no nearer than `z`.
     #[inline(never)]
     fn sees_in_tile(&self, tile_x: usize, tile_y: usize, x: [usize; 2], y: [usize; 2], z: f32) -> bool {
+        let stride = self.tiles_x * TILE;
+        if self.tile_farthest(tile_x, tile_y) > z {
+            return false;
+        }
+        let [x0, x1] = [x[0].max(tile_x * TILE), x[1].min(tile_x * TILE + TILE - 1)];
+        let [y0, y1] = [y[0].max(tile_y * TILE), y[1].min(tile_y * TILE + TILE - 1)];
+        (y0..=y1).any(|y| {
+            self.count_z_tests(x1 + 1 - x0);
+            self.depths[y * stride + x0..=y * stride + x1].iter().any(|&depth| depth <= z)
+        })
+    }
+
+    pub(crate) fn count_z_tests(&self, count: usize) {
+        self.z_tests.set(self.z_tests.get() + count as u64);
+    }
+
+    /// The farthest depth of a tile, found again if it was drawn into.
+    #[inline]
+    pub(crate) fn tile_farthest(&self, tile_x: usize, tile_y: usize) -> f32 {
         let stride = self.tiles_x * TILE;
         let tile = tile_y * self.tiles_x + tile_x;
         let at = tile_y * TILE * stride + tile_x * TILE;
@@ -168,12 +213,41 @@ impl DepthBuffer {
             }
             self.farthest[tile].set(least.into_iter().fold(f32::INFINITY, f32::min));
         }
-        if self.farthest[tile].get() > z {
-            return false;
+        self.farthest[tile].get()
+    }
+
+    pub(crate) fn has_no_pixels(&self) -> bool {
+        self.depths.is_empty()
+    }
+
+    /// Columns and rows of tiles of [`TILE`]² pixels.
+    pub(crate) fn tiles(&self) -> [usize; 2] {
+        [self.tiles_x, self.farthest.len() / self.tiles_x.max(1)]
+    }
+
+    /// Tiles that may have changed since this was last asked: first and last column, first and last row.
+    pub(crate) fn take_drawn_tiles(&mut self) -> Option<[usize; 4]> {
+        let drawn = std::mem::replace(&mut self.drawn, NO_TILES);
+        (drawn != NO_TILES).then_some(drawn)
+    }
+
+    /// The depths of a row of pixels, and some beyond the image.
+    pub(crate) fn row(&self, y: usize) -> &[f32] {
+        let stride = self.tiles_x * TILE;
+        &self.depths[y * stride..(y + 1) * stride]
+    }
+
+    /// What an image with everything rounded outward shows of a box.
+    pub(crate) fn box_place(&self, aabb: &Aabb) -> BoxPlace {
+        if !(aabb.min.is_finite() && aabb.max.is_finite()) {
+            // No cell is like this; of anything else nothing is known.
+            return BoxPlace::Touching;
         }
-        let [x0, x1] = [x[0].max(tile_x * TILE), x[1].min(tile_x * TILE + TILE - 1)];
-        let [y0, y1] = [y[0].max(tile_y * TILE), y[1].min(tile_y * TILE + TILE - 1)];
-        (y0..=y1).any(|y| self.depths[y * stride + x0..=y * stride + x1].iter().any(|&depth| depth <= z))
+        match self.place(aabb) {
+            Place::Outside => BoxPlace::Outside,
+            Place::Touching => BoxPlace::Touching,
+            Place::In { x, y, z } => BoxPlace::In(BoxImage::new(&self.projector, aabb, x, y, z)),
+        }
     }
 }
 
@@ -188,7 +262,7 @@ fn centres(range: [f64; 2], spread: f64, size: i32) -> [i32; 2] {
 }
 
 /// Where a box is.
-enum Place {
+pub(super) enum Place {
     /// No pixel centre sees any of it.
     Outside,
     /// It touches the eye or the near plane and may be in view.
@@ -229,6 +303,6 @@ impl Target for SampledTarget<'_> {
 
     /// Only an image without pixels is: what is covered may still be covered by something nearer.
     fn is_full(&self) -> bool {
-        self.buffer.depths.is_empty()
+        self.buffer.has_no_pixels()
     }
 }

@@ -1,0 +1,245 @@
+//! Is a whole octree node behind a whole part of the image? The hierarchical Z-buffer (Greene, Kass & Miller 1993).
+//!
+//! The octree is walked front to back. A node's box is tested against a pyramid of farthest depths, from one value for the
+//! whole image down; what is hidden is left with all that it contains, and leaves that are not hidden are drawn. It is
+//! Sudarsky & Gotsman's 𝒜 too (1999, §4), whose dynamic half is [`crate::DynamicOctree`] here. Greene's first drawing of what
+//! was visible in the frame before is left out: cullers know nothing of other frames.
+
+use std::sync::Arc;
+
+use crate::culler::everything;
+use crate::raster_sampled::{BoxImage, BoxPlace, TILE};
+use crate::{
+    Aabb, Culled, Culler, DepthBuffer, EyeRegion, Octree, OctreeRules, Scene, Scratch, Tessellation, Traversal, View,
+};
+
+/// An octree against a Z-pyramid. An eye region that is not the view's eye gets everything.
+#[derive(Clone, Debug)]
+pub struct HierarchicalZ {
+    scene: Arc<Scene>,
+    octree: Arc<Octree>,
+}
+
+impl HierarchicalZ {
+    /// Culls with cells that were made for this scene.
+    pub fn new(scene: Arc<Scene>, octree: Arc<Octree>) -> HierarchicalZ {
+        assert_eq!(scene.triangles().len(), octree.primitive_total(), "the octree is another scene's");
+        HierarchicalZ { scene, octree }
+    }
+
+    /// Makes the octree by default rules.
+    pub fn build(scene: Arc<Scene>) -> HierarchicalZ {
+        let octree = Arc::new(Octree::build(&scene, OctreeRules::default()));
+        HierarchicalZ::new(scene, octree)
+    }
+}
+
+impl Culler for HierarchicalZ {
+    fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
+        if !scratch.begin(view, region) {
+            return everything(&self.scene);
+        }
+        let Scratch { depth, leaves, pyramid, .. } = scratch;
+        leaves.begin(&*self.octree);
+        pyramid.begin(depth);
+        let mut traversal = Traversal::default();
+        self.octree.front_to_back(view.eye, |aabb, leaf| {
+            traversal.queries += 1;
+            let seen = pyramid.sees(depth, aabb);
+            if let (true, Some(cell)) = (seen, leaf) {
+                traversal.cells_projected += 1;
+                depth.draw(&self.scene, leaves.project(&*self.octree, cell));
+                pyramid.mark_drawn(depth);
+            }
+            seen
+        });
+        leaves.finish(traversal, depth.z_tests())
+    }
+}
+
+/// The farthest depths of ever larger squares of the image, down to the depth buffer's tiles. Below a tile's 64 pixels a
+/// pyramid does not pay: they are eight vectors.
+///
+/// Values are lazy. Drawing only marks what may have become nearer; a value is found again when a query cannot do with the
+/// old one, which is never too near.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ZPyramid {
+    /// From 2 × 2 tiles up to one value for the whole image.
+    levels: Vec<Level>,
+}
+
+#[derive(Clone, Debug)]
+struct Level {
+    columns: usize,
+    rows: usize,
+    farthest: Vec<f32>,
+    stale: Vec<bool>,
+}
+
+impl ZPyramid {
+    /// Starts over an empty depth buffer.
+    pub(crate) fn begin(&mut self, depth: &DepthBuffer) {
+        let [mut columns, mut rows] = depth.tiles();
+        let mut level = 0;
+        while columns > 1 || rows > 1 {
+            [columns, rows] = [columns.div_ceil(2), rows.div_ceil(2)];
+            if level == self.levels.len() {
+                self.levels.push(Level { columns, rows, farthest: Vec::new(), stale: Vec::new() });
+            }
+            let Level { columns: c, rows: r, farthest, stale } = &mut self.levels[level];
+            (*c, *r) = (columns, rows);
+            farthest.clear();
+            farthest.resize(columns * rows, 0.0);
+            stale.clear();
+            stale.resize(columns * rows, false);
+            level += 1;
+        }
+        self.levels.truncate(level);
+    }
+
+    /// Takes note of what was drawn into the depth buffer since the last call.
+    pub(crate) fn mark_drawn(&mut self, depth: &mut DepthBuffer) {
+        let Some(mut drawn) = depth.take_drawn_tiles() else { return };
+        for level in &mut self.levels {
+            drawn = drawn.map(|at| at / 2);
+            let [left, right, top, bottom] = drawn;
+            for row in top..=bottom {
+                level.stale[row * level.columns + left..=row * level.columns + right].fill(true);
+            }
+        }
+    }
+
+    /// Whether any point of the box may be seen past what was drawn. Rounds outward.
+    pub(crate) fn sees(&mut self, depth: &DepthBuffer, aabb: &Aabb) -> bool {
+        match depth.box_place(aabb) {
+            BoxPlace::Outside => false,
+            BoxPlace::Touching => true,
+            BoxPlace::In(image) => self.sees_below(depth, &image, self.levels.len(), 0, 0),
+        }
+    }
+
+    /// Whether any of the box may be seen within a square: a tile at level 0, else one of `levels[level - 1]`.
+    fn sees_below(&mut self, depth: &DepthBuffer, image: &BoxImage, level: usize, column: usize, row: usize) -> bool {
+        // The part of the square that the box's rectangle covers, in pixels.
+        let side = TILE << level;
+        let within = |range: [i32; 2], at: usize| {
+            let [first, last] = [(range[0] as usize).max(at * side), (range[1] as usize).min((at + 1) * side - 1)];
+            (first <= last).then_some([first, last])
+        };
+        let (Some(x), Some(y)) = (within(image.x, column), within(image.y, row)) else { return false };
+        let z = image.nearest_in(x, y);
+        depth.count_z_tests(1);
+        if level == 0 {
+            return depth.tile_farthest(column, row) <= z && (y[0]..=y[1]).any(|y| sees_in_row(depth, image, x, y));
+        }
+        let at = row * self.levels[level - 1].columns + column;
+        if self.levels[level - 1].farthest[at] > z
+            || (self.levels[level - 1].stale[at] && self.refresh(depth, level, column, row) > z)
+        {
+            return false;
+        }
+        let [columns, rows] = self.size(depth, level - 1);
+        (2 * row..(2 * row + 2).min(rows)).any(|row| {
+            (2 * column..(2 * column + 2).min(columns))
+                .any(|column| self.sees_below(depth, image, level - 1, column, row))
+        })
+    }
+
+    /// Finds a value again.
+    fn refresh(&mut self, depth: &DepthBuffer, level: usize, column: usize, row: usize) -> f32 {
+        if level == 0 {
+            return depth.tile_farthest(column, row);
+        }
+        let at = row * self.levels[level - 1].columns + column;
+        if self.levels[level - 1].stale[at] {
+            let [columns, rows] = self.size(depth, level - 1);
+            let mut farthest = f32::INFINITY;
+            for row in 2 * row..(2 * row + 2).min(rows) {
+                for column in 2 * column..(2 * column + 2).min(columns) {
+                    farthest = farthest.min(self.refresh(depth, level - 1, column, row));
+                }
+            }
+            self.levels[level - 1].farthest[at] = farthest;
+            self.levels[level - 1].stale[at] = false;
+        }
+        self.levels[level - 1].farthest[at]
+    }
+
+    /// Columns and rows of a level; of tiles at level 0.
+    fn size(&self, depth: &DepthBuffer, level: usize) -> [usize; 2] {
+        match level.checked_sub(1) {
+            None => depth.tiles(),
+            Some(level) => [self.levels[level].columns, self.levels[level].rows],
+        }
+    }
+}
+
+/// Whether any of the box may be seen in some columns of a row.
+fn sees_in_row(depth: &DepthBuffer, image: &BoxImage, x: [usize; 2], row: usize) -> bool {
+    let [first, last] = image.columns(row as i32);
+    let (first, last) = (first.max(x[0] as i32), last.min(x[1] as i32));
+    if first > last {
+        return false;
+    }
+    let columns = [first as usize, last as usize];
+    depth.count_z_tests(columns[1] + 1 - columns[0]);
+    image.front(row, columns).passing(0, &depth.row(row)[columns[0]..=columns[1]]) > 0
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec3, Vec3};
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    use super::*;
+    use crate::query::test;
+    use crate::{Resolution, Sides, Triangle};
+
+    #[test]
+    fn the_pyramid_says_what_all_pixels_say_whatever_was_drawn_in_between() {
+        let mut rng = Pcg64::seed_from_u64(1);
+        let (mut asked, mut seen, mut different, mut values, mut pixels) = (0, 0, 0, 0, 0);
+        for resolution in [Resolution::new(1, 1), Resolution::new(9, 200), Resolution::new(150, 97)] {
+            for _ in 0..4 {
+                let view = View::level(DVec3::ZERO, 0.0, 1.5, resolution);
+                let mut any = |reach: f32| Vec3::from_array(std::array::from_fn(|_| rng.random_range(-reach..reach)));
+                let triangles = (0..80)
+                    .map(|_| {
+                        let at = any(4.0) - Vec3::Z * 6.0;
+                        let corners = std::array::from_fn(|_| at + any(2.5));
+                        Triangle { corners, sides: Sides::Both, occludes: true }
+                    })
+                    .collect();
+                let boxes: Vec<Aabb> = (0..20)
+                    .map(|_| {
+                        let centre = any(8.0) - Vec3::Z * 12.0;
+                        Aabb::around(centre.as_dvec3(), any(1.0).abs().as_dvec3())
+                    })
+                    .collect();
+                let scene = Scene::from_triangles(triangles);
+                let mut depth = DepthBuffer::new(&view);
+                let mut pyramid = ZPyramid::default();
+                pyramid.begin(&depth);
+                for id in 0..80 {
+                    depth.draw(&scene, &[id]);
+                    pyramid.mark_drawn(&mut depth);
+                    for aabb in &boxes {
+                        let before = depth.z_tests();
+                        let whole = pyramid.sees(&depth, aabb);
+                        values += depth.z_tests() - before;
+                        let (single, cost) = test(&depth, aabb);
+                        pixels += cost.z_tests;
+                        asked += 1;
+                        seen += u32::from(whole);
+                        different += u32::from(whole != single);
+                    }
+                }
+            }
+        }
+        // Depths along a row are rounded from where it begins, which is another column in a tile: ties may differ.
+        assert!(different * 1000 <= asked, "{different} of {asked}");
+        assert!(seen * 10 > asked && seen * 10 < asked * 9, "{seen} of {asked}");
+        assert!(values * 2 < pixels, "{values} for {pixels} pixels");
+    }
+}

@@ -1,0 +1,232 @@
+//! Which cells of cPLP's front can be seen past what was drawn? Its query back ends, on the CPU (Klosowski & Silva 2001, §3).
+//!
+//! Each draws the front's boxes against the scene's depths, with coverage and depth rounded outward, and differs in how
+//! it learns which boxes had a fragment that passed the depth test:
+//!
+//! | back end | paper | passes over the image | read back |
+//! |---|---|---|---|
+//! | [`ItemBufferQuery`] | §3.2, tiles §3.4 | until one shows no new cell | pixels |
+//! | [`HistogramQuery`] | §3.3 | the same, at most 255 cells at a time | 256 bins |
+//! | [`OneAtATimeQuery`] | §3.1, HP's occlusion test | one per cell | a flag |
+//! | [`PerFragmentHistogram`] | §3.6, extrapolated there | one | a counter per cell |
+//!
+//! On graphics hardware a pass waits for the whole pipeline; on a CPU only the pixels cost.
+
+mod culler;
+mod histogram;
+mod item_buffer;
+mod one_at_a_time;
+mod passes;
+mod per_fragment;
+
+pub use culler::CplpQueryCuller;
+pub use histogram::HistogramQuery;
+pub use item_buffer::{ItemBufferQuery, TILE_SIDE};
+pub use one_at_a_time::OneAtATimeQuery;
+pub(crate) use one_at_a_time::test;
+pub use per_fragment::PerFragmentHistogram;
+
+use crate::{Aabb, DepthBuffer, PixelRect, Scene, View};
+
+/// An image of one view, sampled at pixel centres, that holds what was drawn and answers which boxes can be seen past it.
+///
+/// Answers round outward: a tie is seen, and so is a box that touches the eye or the near plane, without a query.
+pub trait QueryBackEnd {
+    /// Forgets everything and starts an image of another view.
+    fn begin(&mut self, view: &View);
+
+    /// Draws those of the primitives that occlude.
+    fn draw(&mut self, scene: &Scene, primitives: &[u32]);
+
+    /// Whether any pixel may show any of the box, whatever was drawn.
+    fn in_view(&self, aabb: &Aabb) -> bool;
+
+    /// Finds which of the boxes may be seen past what was drawn, not past each other: `seen` gets one answer per box. Says
+    /// what it cost.
+    fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost;
+
+    /// [`QueryBackEnd::query`] for a whole front: no cell that is neither drawn nor in the front can be seen before the
+    /// front is projected. So where it shows no cell of the front, the image is finished, and a back end may leave that part
+    /// out from then on.
+    fn query_front(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
+        self.query(cells, seen)
+    }
+
+    /// The most boxes whose answers come together. With fewer than a front holds, what is found in one batch can be drawn
+    /// before the next is asked.
+    fn batch(&self) -> usize {
+        usize::MAX
+    }
+
+    /// Whether nothing more can be seen anywhere.
+    fn is_full(&self) -> bool;
+
+    /// The parts of the image that are finished (paper, figure 10), for pictures. Empty for back ends without tiles.
+    fn finished_tiles(&self) -> Vec<PixelRect> {
+        Vec::new()
+    }
+
+    /// Comparisons of depths since [`QueryBackEnd::begin`], drawing and queries.
+    fn z_tests(&self) -> u64;
+
+    /// The depths drawn so far: what hides moving things.
+    fn depth(&self) -> &DepthBuffer;
+}
+
+/// What queries cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct QueryCost {
+    /// Times that boxes were drawn and the result was waited for.
+    pub passes: usize,
+    /// Pixels of boxes that were compared with the scene's depths.
+    pub z_tests: u64,
+    /// Values that a host would read back: pixels of an item buffer, bins of a histogram, flags, counters.
+    pub read_back: u64,
+}
+
+impl std::ops::AddAssign for QueryCost {
+    fn add_assign(&mut self, other: QueryCost) {
+        self.passes += other.passes;
+        self.z_tests += other.z_tests;
+        self.read_back += other.read_back;
+    }
+}
+
+/// The CPU's query back ends, by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum QueryKind {
+    /// [`ItemBufferQuery`] that scans the whole image.
+    ItemBuffer,
+    /// [`ItemBufferQuery`] with tiles of [`TILE_SIDE`] pixels.
+    ItemBufferTiled,
+    /// [`HistogramQuery`].
+    Histogram,
+    /// [`OneAtATimeQuery`].
+    OneAtATime,
+    /// [`PerFragmentHistogram`].
+    PerFragmentHistogram,
+}
+
+impl QueryKind {
+    /// All of them.
+    pub const ALL: [QueryKind; 5] = [
+        QueryKind::ItemBuffer,
+        QueryKind::ItemBufferTiled,
+        QueryKind::Histogram,
+        QueryKind::OneAtATime,
+        QueryKind::PerFragmentHistogram,
+    ];
+
+    /// Its name in reports and on command lines.
+    pub const fn name(self) -> &'static str {
+        match self {
+            QueryKind::ItemBuffer => "item-buffer",
+            QueryKind::ItemBufferTiled => "item-buffer-tiled",
+            QueryKind::Histogram => "histogram",
+            QueryKind::OneAtATime => "one-at-a-time",
+            QueryKind::PerFragmentHistogram => "per-fragment-histogram",
+        }
+    }
+
+    /// The kind of that name.
+    pub fn from_name(name: &str) -> Option<QueryKind> {
+        QueryKind::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// A back end of this kind.
+    pub fn back_end(self) -> CpuQuery {
+        match self {
+            QueryKind::ItemBuffer => CpuQuery::ItemBuffer(ItemBufferQuery::new()),
+            QueryKind::ItemBufferTiled => CpuQuery::ItemBuffer(ItemBufferQuery::new().with_tile_side(TILE_SIDE)),
+            QueryKind::Histogram => CpuQuery::Histogram(HistogramQuery::new()),
+            QueryKind::OneAtATime => CpuQuery::OneAtATime(OneAtATimeQuery::new()),
+            QueryKind::PerFragmentHistogram => CpuQuery::PerFragmentHistogram(PerFragmentHistogram::new()),
+        }
+    }
+}
+
+impl std::fmt::Display for QueryKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// One of the CPU's back ends, chosen at run time by [`QueryKind::back_end`].
+#[derive(Clone, Debug)]
+pub enum CpuQuery {
+    /// With or without tiles.
+    ItemBuffer(ItemBufferQuery),
+    /// See [`HistogramQuery`].
+    Histogram(HistogramQuery),
+    /// See [`OneAtATimeQuery`].
+    OneAtATime(OneAtATimeQuery),
+    /// See [`PerFragmentHistogram`].
+    PerFragmentHistogram(PerFragmentHistogram),
+}
+
+impl CpuQuery {
+    fn chosen(&self) -> &dyn QueryBackEnd {
+        match self {
+            CpuQuery::ItemBuffer(query) => query,
+            CpuQuery::Histogram(query) => query,
+            CpuQuery::OneAtATime(query) => query,
+            CpuQuery::PerFragmentHistogram(query) => query,
+        }
+    }
+
+    fn chosen_mut(&mut self) -> &mut dyn QueryBackEnd {
+        match self {
+            CpuQuery::ItemBuffer(query) => query,
+            CpuQuery::Histogram(query) => query,
+            CpuQuery::OneAtATime(query) => query,
+            CpuQuery::PerFragmentHistogram(query) => query,
+        }
+    }
+}
+
+impl QueryBackEnd for CpuQuery {
+    fn begin(&mut self, view: &View) {
+        self.chosen_mut().begin(view);
+    }
+
+    fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
+        self.chosen_mut().draw(scene, primitives);
+    }
+
+    fn in_view(&self, aabb: &Aabb) -> bool {
+        self.chosen().in_view(aabb)
+    }
+
+    fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
+        self.chosen_mut().query(cells, seen)
+    }
+
+    fn query_front(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
+        self.chosen_mut().query_front(cells, seen)
+    }
+
+    fn batch(&self) -> usize {
+        self.chosen().batch()
+    }
+
+    fn is_full(&self) -> bool {
+        self.chosen().is_full()
+    }
+
+    fn finished_tiles(&self) -> Vec<PixelRect> {
+        self.chosen().finished_tiles()
+    }
+
+    fn z_tests(&self) -> u64 {
+        self.chosen().z_tests()
+    }
+
+    fn depth(&self) -> &DepthBuffer {
+        self.chosen().depth()
+    }
+}
+
+/// A depth buffer of no view and no pixels, until `begin`.
+fn no_depth() -> DepthBuffer {
+    DepthBuffer::new(&View::level(glam::DVec3::ZERO, 0.0, 1.0, crate::Resolution::new(0, 0)))
+}

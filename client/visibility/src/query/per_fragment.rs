@@ -1,0 +1,86 @@
+//! How many fragments of each box pass? The per-fragment histogram that the paper proposed for hardware
+//! (Klosowski & Silva 2001, §3.6).
+
+use super::{QueryBackEnd, QueryCost, no_depth};
+use crate::raster_sampled::BoxPlace;
+use crate::{Aabb, DepthBuffer, Scene, View};
+
+/// Draws all boxes with depth test and without depth write, and counts the fragments of each that pass. No box hides
+/// another, so that one pass finds all that can be seen, and there is no image to clear, fill or scan.
+#[derive(Clone, Debug)]
+pub struct PerFragmentHistogram {
+    depth: DepthBuffer,
+    counts: Vec<u32>,
+}
+
+impl PerFragmentHistogram {
+    /// A back end without a view yet.
+    pub fn new() -> PerFragmentHistogram {
+        PerFragmentHistogram { depth: no_depth(), counts: Vec::new() }
+    }
+
+    /// The histogram of the last query: per box, the number of fragments that passed, which bounds the number of pixels that
+    /// show it or what it contains. [`u32::MAX`] for a box that touches the eye or the near plane.
+    pub fn counts(&self) -> &[u32] {
+        &self.counts
+    }
+}
+
+impl Default for PerFragmentHistogram {
+    fn default() -> PerFragmentHistogram {
+        PerFragmentHistogram::new()
+    }
+}
+
+impl QueryBackEnd for PerFragmentHistogram {
+    fn begin(&mut self, view: &View) {
+        self.depth.begin(view);
+    }
+
+    fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
+        self.depth.draw(scene, primitives);
+    }
+
+    fn in_view(&self, aabb: &Aabb) -> bool {
+        self.depth.in_view(aabb)
+    }
+
+    fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
+        self.counts.clear();
+        let (mut z_tests, mut drawn) = (0, 0);
+        for cell in cells {
+            let count = match self.depth.box_place(cell) {
+                BoxPlace::Outside => 0,
+                BoxPlace::Touching => u32::MAX,
+                BoxPlace::In(image) => {
+                    drawn += 1;
+                    image
+                        .rows()
+                        .map(|(y, columns)| {
+                            let [first, last] = columns;
+                            z_tests += last + 1 - first;
+                            image.front(y, columns).passing(0, &self.depth.row(y)[first..=last])
+                        })
+                        .sum()
+                }
+            };
+            self.counts.push(count);
+        }
+        seen.clear();
+        seen.extend(self.counts.iter().map(|&count| count > 0));
+        self.depth.count_z_tests(z_tests);
+        QueryCost { passes: usize::from(drawn > 0), z_tests: z_tests as u64, read_back: drawn }
+    }
+
+    fn is_full(&self) -> bool {
+        self.depth.has_no_pixels()
+    }
+
+    fn z_tests(&self) -> u64 {
+        self.depth.z_tests()
+    }
+
+    fn depth(&self) -> &DepthBuffer {
+        &self.depth
+    }
+}
