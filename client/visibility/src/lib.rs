@@ -9,6 +9,7 @@
 mod all_round;
 mod all_round_cells;
 mod bound;
+mod closers;
 mod cplp;
 mod culler;
 mod dynamic_index;
@@ -20,7 +21,9 @@ mod raster_sampled;
 mod ray;
 mod scene;
 mod under;
+mod under_extent;
 mod under_face;
+mod under_region;
 mod view;
 
 pub use all_round::{AllRound, AllRoundScratch, AllRoundStats};
