@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use crate::raster_sampled::Coverage;
 use crate::{
-    Aabb, Bound, Budget, Cplp, CplpScratch, DepthBuffer, EyeRegion, ItemBuffer, Occlusion, OctreeRules, Resolution,
-    Scene, Traversal, View,
+    Aabb, Bound, Budget, Cplp, CplpScratch, DepthBuffer, EyeRegion, ItemBuffer, Occluders, Occlusion, OctreeRules,
+    Resolution, Scene, Traversal, UnderOcclusion, View,
 };
 
 /// A static culler. Shared by workers, each of which brings its scratch.
@@ -28,30 +28,57 @@ pub struct Culled {
 pub struct Scratch {
     cplp: CplpScratch,
     depth: DepthBuffer,
-    /// Whether `depth` speaks for the region of the last cull.
-    occludes: bool,
+    under: Option<UnderOcclusion>,
+    speaks: Speaks,
+}
+
+/// Which image speaks for the region of the last cull.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Speaks {
+    Depth,
+    Under,
+    None,
 }
 
 impl Default for Scratch {
     fn default() -> Scratch {
         let nowhere = View::level(glam::DVec3::ZERO, 0.0, 1.0, Resolution::new(0, 0));
-        Scratch { cplp: CplpScratch::default(), depth: DepthBuffer::new(&nowhere), occludes: false }
+        Scratch { cplp: CplpScratch::default(), depth: DepthBuffer::new(&nowhere), under: None, speaks: Speaks::None }
     }
 }
 
 impl Scratch {
-    /// What the last cull knows to be hidden: in that view and at that resolution (see [`DepthBuffer`]).
+    /// What the last cull knows to be hidden: in that view and at that resolution (see [`DepthBuffer`]), or, by
+    /// [`crate::RegionCuller`], for every eye of the region and at every resolution.
     pub fn occlusion(&self) -> &dyn Occlusion {
-        if self.occludes { &self.depth } else { &NothingHidden }
+        match (self.speaks, &self.under) {
+            (Speaks::Depth, _) => &self.depth,
+            (Speaks::Under, Some(under)) => under,
+            _ => &NothingHidden,
+        }
+    }
+
+    /// Nothing is known to be hidden any more.
+    pub(crate) fn forget(&mut self) {
+        self.speaks = Speaks::None;
+    }
+
+    /// An under-estimating image of `view` that speaks from now on, and cPLP's part.
+    pub(crate) fn under(&mut self, occluders: &Arc<Occluders>, view: &View) -> (&mut UnderOcclusion, &mut CplpScratch) {
+        self.speaks = Speaks::Under;
+        let kept = self.under.take().and_then(|under| under.aimed(occluders, view));
+        let under = kept.unwrap_or_else(|| UnderOcclusion::single(Arc::clone(occluders), view));
+        (self.under.insert(under), &mut self.cplp)
     }
 
     /// Starts a frame; whether the depth buffer can speak for `region` at all.
     fn begin(&mut self, view: &View, region: EyeRegion) -> bool {
-        self.occludes = region == EyeRegion::point(view.eye);
-        if self.occludes {
+        let point = region == EyeRegion::point(view.eye);
+        self.speaks = if point { Speaks::Depth } else { Speaks::None };
+        if point {
             self.depth.begin(view);
         }
-        self.occludes
+        point
     }
 }
 

@@ -142,6 +142,21 @@ impl UnderOcclusion {
         occlusion
     }
 
+    /// This single view's memory for another view of as many pixels, to be started; none if it does not fit.
+    pub(crate) fn aimed(mut self, occluders: &Arc<Occluders>, view: &View) -> Option<UnderOcclusion> {
+        let face = self.image.faces.first_mut()?;
+        let same = [face.width, face.height] == [view.resolution.width as usize, view.resolution.height as usize];
+        if !same || self.image.aligned || !Arc::ptr_eq(occluders, &self.occluders) {
+            return None;
+        }
+        [face.right, face.up, face.forward] = [DVec3::X, DVec3::Y, DVec3::NEG_Z].map(|axis| view.orientation * axis);
+        let focal = view.focal_px();
+        self.image.focal = focal;
+        self.image.half = [face.centre_x() / focal, face.centre_y() / focal];
+        self.image.near = view.near;
+        Some(self)
+    }
+
     fn new(occluders: Arc<Occluders>, faces: Vec<Face>, near: f64, aligned: bool) -> UnderOcclusion {
         let face = &faces[0];
         let image = Image {

@@ -242,7 +242,7 @@ impl Image {
         let Some([p_setup, q_setup]) = self.slot(occluders, p).zip(self.slot(occluders, q)).map(|(p, q)| [p, q]) else {
             return;
         };
-        if self.closing(occluders, p, q, joint.edges[0]) {
+        if self.closing(occluders, p, q, joint.edges[0]) && self.closing(occluders, q, p, joint.edges[1]) {
             return;
         }
         let mut pair = Fusion::of(p);
