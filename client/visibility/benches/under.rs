@@ -46,7 +46,45 @@ fn main() {
             mean[4],
         );
     }
+    balls();
     divan::main();
+}
+
+/// Culls from balls against culls from their centres, one after the other, and what of 100 avatars is kept.
+fn balls() {
+    let mut rng = Pcg64::seed_from_u64(7);
+    for corners in [Corners::Abut, Corners::Overlap] {
+        let scene = rooms(22, corners, Sides::Both, 0.0, &mut rng);
+        let all_round = AllRound::new(&scene);
+        let mut scratch = all_round.scratch(128);
+        let radii = [0.0, 0.15, 0.3, 1.0];
+        let (mut time, mut kept, mut work) = ([0.0; 4], [0; 4], [[0; 3]; 4]);
+        let eyes = 300;
+        for _ in 0..eyes {
+            let centre = random_eye(22, 0.0, &mut rng);
+            let avatars: Vec<DVec3> = (0..100).map(|_| random_eye(22, 0.0, &mut rng).with_y(0.9)).collect();
+            for (i, &radius) in radii.iter().enumerate() {
+                let start = on_cpu_ns().unwrap_or(f64::NAN);
+                let occlusion = all_round.cull(EyeRegion { centre, radius }, &mut scratch).unwrap();
+                let bound = |at: DVec3| Bound::Box(Aabb::around(at, DVec3::new(0.3, 0.88, 0.3)));
+                time[i] += on_cpu_ns().unwrap_or(f64::NAN) - start;
+                kept[i] += avatars.iter().filter(|&&at| !occlusion.hides(&bound(at))).count();
+                let stats = scratch.stats();
+                for (sum, value) in work[i].iter_mut().zip([stats.queries, stats.polygons, stats.joints]) {
+                    *sum += value;
+                }
+            }
+        }
+        for (i, radius) in radii.iter().enumerate() {
+            println!(
+                "{corners:?}, ball of {radius} m: {:.2} times the point's time, {} of {} avatars kept; per cull {:?} queries, polygons, joints",
+                time[i] / time[0],
+                kept[i],
+                eyes * 100,
+                work[i].map(|sum| sum / eyes as u64),
+            );
+        }
+    }
 }
 
 /// Time that this thread has been running, from Linux.

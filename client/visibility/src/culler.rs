@@ -2,13 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::front_to_back::Leaves;
-use crate::hierarchical_z::ZPyramid;
 use crate::raster_sampled::Coverage;
-use crate::{
-    Aabb, Bound, Budget, Cplp, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, ItemBuffer, Occlusion, OctreeRules,
-    QueryBackEnd, QueryKind, Resolution, Scene, Traversal, View,
-};
+use crate::{Aabb, Budget, Cplp, EyeRegion, ItemBuffer, MaskedCplp, OctreeRules, Scene, Scratch, Traversal, View};
 
 /// A static culler. Shared by workers, each of which brings its scratch.
 pub trait Culler {
@@ -26,88 +21,6 @@ pub struct Culled {
     /// Comparisons of depths that the culler made, drawing occluders and queries included (Klosowski & Silva 2001, §4). 0 for
     /// cullers that draw nothing: there, count those of the picture ([`ItemBuffer::z_tests`]).
     pub z_tests: u64,
-}
-
-/// What one worker needs to cull, kept from frame to frame.
-#[derive(Clone, Debug)]
-pub struct Scratch {
-    pub(crate) cplp: CplpScratch,
-    pub(crate) depth: DepthBuffer,
-    pub(crate) leaves: Leaves,
-    pub(crate) pyramid: ZPyramid,
-    query: Option<(QueryKind, CpuQuery)>,
-    speaker: Speaker,
-}
-
-/// What knows the depths that speak for the region of the last cull.
-#[derive(Clone, Copy, Debug)]
-enum Speaker {
-    Nothing,
-    Depth,
-    Query,
-}
-
-impl Default for Scratch {
-    fn default() -> Scratch {
-        let nowhere = View::level(glam::DVec3::ZERO, 0.0, 1.0, Resolution::new(0, 0));
-        Scratch {
-            cplp: CplpScratch::default(),
-            depth: DepthBuffer::new(&nowhere),
-            leaves: Leaves::default(),
-            pyramid: ZPyramid::default(),
-            query: None,
-            speaker: Speaker::Nothing,
-        }
-    }
-}
-
-impl Scratch {
-    /// What the last cull knows to be hidden: in that view and at that resolution (see [`DepthBuffer`]).
-    pub fn occlusion(&self) -> &dyn Occlusion {
-        match (self.speaker, &self.query) {
-            (Speaker::Depth, _) => &self.depth,
-            (Speaker::Query, Some((_, query))) => query.depth(),
-            _ => &NothingHidden,
-        }
-    }
-
-    /// Starts a frame; whether the depth buffer can speak for `region` at all.
-    pub(crate) fn begin(&mut self, view: &View, region: EyeRegion) -> bool {
-        let speaks = region == EyeRegion::point(view.eye);
-        self.speaker = if speaks { Speaker::Depth } else { Speaker::Nothing };
-        if speaks {
-            self.depth.begin(view);
-        }
-        speaks
-    }
-
-    /// Likewise for a culler that draws into a query back end instead. The back end is kept while its kind is.
-    pub(crate) fn begin_query(
-        &mut self,
-        view: &View,
-        region: EyeRegion,
-        kind: QueryKind,
-    ) -> Option<(&mut CpuQuery, &mut CplpScratch)> {
-        if region != EyeRegion::point(view.eye) {
-            self.speaker = Speaker::Nothing;
-            return None;
-        }
-        self.speaker = Speaker::Query;
-        let (_, query) = match self.query.take() {
-            Some(kept) if kept.0 == kind => self.query.insert(kept),
-            _ => self.query.insert((kind, kind.back_end())),
-        };
-        Some((query, &mut self.cplp))
-    }
-}
-
-/// The occlusion of an empty world without edges.
-struct NothingHidden;
-
-impl Occlusion for NothingHidden {
-    fn hides(&self, _: &Bound) -> bool {
-        false
-    }
 }
 
 /// Everything is visible: the baseline ZB.
@@ -207,6 +120,15 @@ impl Culler for CplpCuller {
         let mut target = scratch.depth.target(&self.scene);
         let traversal = self.cplp.traverse(&self.scene, region, self.budget, &mut target, &mut scratch.cplp);
         Culled { visible: scratch.cplp.visible().to_vec(), traversal, z_tests: scratch.depth.z_tests() }
+    }
+}
+
+impl Culler for MaskedCplp {
+    /// An eye region that is not the view's eye gets everything.
+    fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
+        let Some(masked) = scratch.begin_masked(view, region) else { return everything(self.scene()) };
+        let traversal = self.walk(view, masked);
+        Culled { visible: masked.visible().to_vec(), traversal, z_tests: 0 }
     }
 }
 

@@ -21,6 +21,7 @@ use std::collections::HashMap;
 
 use glam::{DVec3, Vec3};
 
+use crate::closers::{self, Closer, EXACT};
 use crate::{Aabb, Scene, Sides};
 
 /// One occluder: a loop of corners, anticlockwise from its front.
@@ -36,8 +37,14 @@ pub(crate) struct Polygon {
     pub two_sided: bool,
     /// The box of the closed shell that it belongs to: an eye outside need not draw it from behind.
     pub shell: Option<Aabb>,
+    /// Range in [`Occluders::closers`].
+    pub closers: std::ops::Range<u32>,
     /// Unit normal of the loop (Newell).
     pub normal: DVec3,
+    /// Whether all corners lie in one plane, rounding in f64 apart.
+    pub flat: bool,
+    /// Greatest sine between an edge and the plane.
+    pub tilt: f64,
     /// Least extent across.
     pub width: f64,
     pub aabb: Aabb,
@@ -53,6 +60,8 @@ pub(crate) struct Joint {
     pub opposite: bool,
     /// The shared stretch.
     pub ends: [DVec3; 2],
+    /// Between two flat polygons: how fast the first rises above the second from the line on. 0 if they are coplanar.
+    pub fold: Option<f64>,
 }
 
 /// What of a scene can hide something, prepared for [`crate::UnderOcclusion`]. Never changes once made.
@@ -63,6 +72,7 @@ pub struct Occluders {
     pub(crate) joints: Vec<Joint>,
     /// The other polygon and the index in `joints`, polygon by polygon.
     pub(crate) joint_lists: Vec<[u32; 2]>,
+    pub(crate) closers: Vec<Closer>,
     /// Polygon of each primitive, or `NONE`.
     polygon_of: Vec<u32>,
 }
@@ -342,6 +352,7 @@ impl Loops {
             polygons: Vec::new(),
             joints: Vec::new(),
             joint_lists: Vec::new(),
+            closers: Vec::new(),
             polygon_of: vec![NONE; primitives],
         };
         for polygon in &self.loops {
@@ -354,24 +365,45 @@ impl Loops {
             for &primitive in &polygon.primitives {
                 occluders.polygon_of[primitive as usize] = occluders.polygons.len() as u32;
             }
+            let (flat, tilt) = flatness(&corners, polygon.normal);
             occluders.polygons.push(Polygon {
                 first: occluders.corners.len() as u32,
                 count: corners.len() as u32,
                 joints: 0..0,
                 two_sided: polygon.sides == Sides::Both,
                 shell: polygon.shell,
+                closers: 0..0,
                 normal: polygon.normal,
+                flat,
+                tilt,
                 width,
                 aabb: corners.iter().fold(Aabb::EMPTY, |aabb, corner| aabb.with_point(corner.as_dvec3())),
             });
             occluders.corners.extend(corners);
         }
         occluders.find_joints();
+        for (polygon, closers) in closers::find(&occluders).into_iter().enumerate() {
+            let first = occluders.closers.len() as u32;
+            occluders.closers.extend(closers);
+            occluders.polygons[polygon].closers = first..occluders.closers.len() as u32;
+        }
         occluders
     }
 }
 
 impl Occluders {
+    /// How fast polygon `p` rises above `q` from its edge on, which lies on a line of `q`.
+    fn fold(&self, p: u32, edge: u32, q: u32) -> Option<f64> {
+        let [a, b] = [p, q].map(|polygon| &self.polygons[polygon as usize]);
+        let corners = self.corners(p);
+        let [from, to] = [edge, edge + 1].map(|i| corners[i as usize % corners.len()].as_dvec3());
+        let along = (to - from).try_normalize()?;
+        let fold = b.normal.dot(a.normal.cross(along));
+        let fold = if fold.abs() <= EXACT { 0.0 } else { fold };
+        // Nearly coplanar is neither.
+        (a.flat && b.flat && b.normal.dot(along).abs() <= EXACT && (fold == 0.0 || fold.abs() > 1e-6)).then_some(fold)
+    }
+
     fn find_joints(&mut self) {
         // Edges by the line that they lie on. Only lines that are *exactly* the same count: those through the same two
         // corners, and those parallel to an axis with the same other two coordinates (where pieces of wall of different
@@ -421,6 +453,7 @@ impl Occluders {
                         edges: [a.edge, b.edge],
                         opposite,
                         ends: [b.low.as_dvec3(), high.as_dvec3()],
+                        fold: self.fold(a.polygon, a.edge, b.polygon),
                     });
                 }
             }
@@ -456,6 +489,19 @@ fn newell(positions: &[Vec3], corners: &[u32]) -> DVec3 {
     let at = |corner: u32| positions[corner as usize].as_dvec3();
     let origin = at(corners[0]);
     corners.windows(2).map(|pair| (at(pair[0]) - origin).cross(at(pair[1]) - origin)).sum()
+}
+
+/// Whether corners are in one plane up to rounding in f64, and the greatest sine between an edge and the plane.
+fn flatness(corners: &[Vec3], normal: DVec3) -> (bool, f64) {
+    let (mut height, mut size, mut tilt) = (0.0_f64, 0.0_f64, 0.0_f64);
+    for (i, corner) in corners.iter().enumerate() {
+        let corner = corner.as_dvec3();
+        let (across, along) = (corner - corners[0].as_dvec3(), corners[(i + 1) % corners.len()].as_dvec3() - corner);
+        height = height.max(normal.dot(across).abs());
+        size = size.max(across.length());
+        tilt = tilt.max(normal.dot(along).abs() / along.length());
+    }
+    (height <= EXACT * size, tilt)
 }
 
 /// Drops corners between two edges of exactly the same direction. Differences of f32 are exact in f64 unless their

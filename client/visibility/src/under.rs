@@ -23,25 +23,33 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use crate::occluders::Occluders;
+use crate::under_extent::{Extent, Seen};
 use crate::under_face::{Face, Region};
 use crate::{Aabb, Bound, EyeRegion, Occlusion, SealedFace, Target, View};
 
 /// Occluders count from this many near distances on, along the image's axis. A camera that is turned by θ against it
 /// still has them beyond its own near plane if cos θ ≥ 1/2: true up to 120° of diagonal angle of view.
-const OCCLUDER_NEAR: f64 = 2.0;
+pub(crate) const OCCLUDER_NEAR: f64 = 2.0;
 
 /// Unit roundoff of f64 with room: errors below are a handful of roundings each.
-const ROUNDING: f64 = 64.0 * f64::EPSILON;
+pub(crate) const ROUNDING: f64 = 64.0 * f64::EPSILON;
 
 /// How far a rectangle of a bound is rounded outward, in pixels: projecting it takes a few roundings of f64.
 const OUTWARD_PX: f64 = 1e-6;
 
+/// A single view from a ball of radius ρ is widened by the share ρ / `MARGIN_DEPTH`, at most by [`MARGIN_MAX`]: then no eye
+/// of the ball sees past the margin at more than about this depth in metres.
+const MARGIN_DEPTH: f64 = 1.5;
+
+/// The widest margin. Each share of the image that it takes makes the rest coarser.
+const MARGIN_MAX: f64 = 0.5;
+
 /// Why an occlusion cannot be made.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RegionError {
-    /// Visibility from a ball is not the visibility of inflated bounds from its centre, so it is refused, not faked.
-    #[error("an eye region of radius {0} m is not supported by this culler, only points are")]
-    NotAPoint(f64),
+    /// The radius of the eye region is negative, infinite or no number.
+    #[error("an eye region of radius {0} m is no ball")]
+    NotABall(f64),
     /// The eye is not a finite point.
     #[error("the eye is not a finite point")]
     NotFinite,
@@ -56,47 +64,63 @@ pub struct UnderStats {
     pub joints: u64,
 }
 
-/// Depths at which the view from a point is certainly closed, by under-estimating coverage.
+/// Depths at which the view from a point, or from every point of a ball, is certainly closed.
+#[derive(Clone, Debug)]
 pub struct UnderOcclusion {
     occluders: Arc<Occluders>,
     image: Image,
 }
 
 /// All of it but the occluders, so that drawing can borrow those.
-struct Image {
-    eye: DVec3,
-    near: f64,
+#[derive(Clone, Debug)]
+pub(crate) struct Image {
+    /// Centre of the eyes' ball.
+    pub eye: DVec3,
+    /// Its radius, rounded up.
+    pub radius: f64,
+    pub near: f64,
     /// Six cube faces with axes along the world's, or one image of any orientation.
-    faces: Vec<Face>,
-    aligned: bool,
-    frame: u32,
-    /// Frame in which each polygon was last drawn, and its index in `setups` (or `NONE` if it turned its back).
-    drawn: Vec<(u32, u32)>,
-    setups: Vec<Setup>,
-    edges: Vec<EdgePlane>,
-    stats: UnderStats,
+    pub faces: Vec<Face>,
+    pub aligned: bool,
+    /// For one image the tangents of half its view, which is all of it for a point; pixels per unit of tangent then.
+    half: [f64; 2],
+    focal: f64,
+    pub frame: u32,
+    /// Frame in which each polygon was last drawn.
+    drawn: Vec<u32>,
+    /// Frame in which each polygon was last set up, and its index in `setups` (or `NONE` if it turned its back).
+    slots: Vec<(u32, u32)>,
+    pub setups: Vec<Setup>,
+    pub edges: Vec<EdgePlane>,
+    /// For a ball, the planes through its centre and each edge, beside the supporting planes in `edges`.
+    pub sights: Vec<DVec3>,
+    pub stats: UnderStats,
 }
 
-/// A polygon seen from this frame's eye.
-#[derive(Clone, Copy)]
-struct Setup {
-    edges: [u32; 2],
-    from_behind: bool,
+/// A polygon seen from this frame's eyes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Setup {
+    pub edges: [u32; 2],
+    pub from_behind: bool,
+    /// Whether it may be fused with others: flat, and the eyes well clear of its plane.
+    pub fuses: bool,
     /// `far·d` is 1/z where direction d meets the farther plane around the polygon.
-    far: DVec3,
+    pub far: DVec3,
+    /// So much less for eyes in a ball.
+    pub far_less: f64,
     /// The same for the nearer plane, if the near limit may cut the polygon.
-    near: Option<DVec3>,
+    pub near: Option<DVec3>,
 }
 
-#[derive(Clone, Copy)]
-struct EdgePlane {
-    /// Normal of the plane through the eye and the edge, inward.
-    normal: DVec3,
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EdgePlane {
+    /// Normal of the plane through the eye and the edge, inward; for eyes in a ball of the supporting plane.
+    pub normal: DVec3,
     /// How far `normal·d` may be wrong, per length of d.
-    error: f64,
+    pub error: f64,
 }
 
-const NONE: u32 = u32::MAX;
+pub(crate) const NONE: u32 = u32::MAX;
 
 impl UnderOcclusion {
     /// All directions, in six faces of `side` × `side` pixels. Nothing is drawn yet: the eye is the origin.
@@ -118,39 +142,69 @@ impl UnderOcclusion {
         occlusion
     }
 
+    /// This single view's memory for another view of as many pixels, to be started; none if it does not fit.
+    pub(crate) fn aimed(mut self, occluders: &Arc<Occluders>, view: &View) -> Option<UnderOcclusion> {
+        let face = self.image.faces.first_mut()?;
+        let same = [face.width, face.height] == [view.resolution.width as usize, view.resolution.height as usize];
+        if !same || self.image.aligned || !Arc::ptr_eq(occluders, &self.occluders) {
+            return None;
+        }
+        [face.right, face.up, face.forward] = [DVec3::X, DVec3::Y, DVec3::NEG_Z].map(|axis| view.orientation * axis);
+        let focal = view.focal_px();
+        self.image.focal = focal;
+        self.image.half = [face.centre_x() / focal, face.centre_y() / focal];
+        self.image.near = view.near;
+        Some(self)
+    }
+
     fn new(occluders: Arc<Occluders>, faces: Vec<Face>, near: f64, aligned: bool) -> UnderOcclusion {
-        let drawn = vec![(0, NONE); occluders.len()];
+        let face = &faces[0];
         let image = Image {
             eye: DVec3::ZERO,
+            radius: 0.0,
             near,
+            half: [face.centre_x() / face.focal, face.centre_y() / face.focal],
+            focal: face.focal,
             faces,
             aligned,
             frame: 1,
-            drawn,
+            drawn: vec![0; occluders.len()],
+            slots: vec![(0, NONE); occluders.len()],
             setups: Vec::new(),
             edges: Vec::new(),
+            sights: Vec::new(),
             stats: UnderStats::default(),
         };
         UnderOcclusion { occluders, image }
     }
 
-    /// Forgets what was drawn and looks from `region`, which must be a point.
+    /// Forgets what was drawn and looks from every eye of `region`.
+    ///
+    /// A single view gets a margin for the eyes beside its middle one at the cost of resolution: what lies outside the
+    /// views of all of them counts as hidden.
     pub fn start(&mut self, region: EyeRegion) -> Result<(), RegionError> {
-        if region.radius != 0.0 {
-            return Err(RegionError::NotAPoint(region.radius));
+        if !(region.radius >= 0.0 && region.radius.is_finite()) {
+            return Err(RegionError::NotABall(region.radius));
         }
         if !region.centre.is_finite() {
             return Err(RegionError::NotFinite);
         }
         let image = &mut self.image;
         image.eye = region.centre;
+        image.radius = region.radius * (1.0 + 1e-9);
+        if !image.aligned {
+            let margin = 1.0 + (image.radius / MARGIN_DEPTH).min(MARGIN_MAX);
+            image.faces[0].set_focal(image.focal / margin);
+        }
         image.faces.iter_mut().for_each(Face::clear);
         image.setups.clear();
         image.edges.clear();
+        image.sights.clear();
         image.stats = UnderStats::default();
         image.frame = image.frame.wrapping_add(1);
         if image.frame == 0 {
-            image.drawn.fill((0, NONE));
+            image.drawn.fill(0);
+            image.slots.fill((0, NONE));
             image.frame = 1;
         }
         Ok(())
@@ -171,6 +225,11 @@ impl UnderOcclusion {
         &self.occluders
     }
 
+    /// Whether every direction ends somewhere: nothing is seen that is farther than all that was drawn.
+    pub fn is_closed(&self) -> bool {
+        self.image.faces.iter().all(Face::is_full)
+    }
+
     /// Draws one polygon of the occluders, once per frame, and its joints with polygons drawn before.
     pub fn draw_polygon(&mut self, polygon: u32) {
         self.image.draw_polygon(&self.occluders, polygon);
@@ -185,14 +244,15 @@ impl UnderOcclusion {
 impl Image {
     fn draw_polygon(&mut self, occluders: &Occluders, polygon: u32) {
         let frame = self.frame;
-        if std::mem::replace(&mut self.drawn[polygon as usize].0, frame) == frame {
+        if std::mem::replace(&mut self.drawn[polygon as usize], frame) == frame {
             return;
         }
-        self.drawn[polygon as usize].1 = NONE;
-        let Some(setup) = self.set_up(occluders, polygon) else { return };
-        self.drawn[polygon as usize].1 = self.setups.len() as u32;
-        self.setups.push(setup);
+        let Some(setup) = self.slot(occluders, polygon) else { return };
         self.stats.polygons += 1;
+        if self.radius > 0.0 {
+            self.draw_for_ball(occluders, polygon);
+            return;
+        }
         let corners = occluders.corners(polygon);
         let planes = &self.edges[setup.edges[0] as usize..setup.edges[1] as usize];
         let aabb = &occluders.polygons[polygon as usize].aabb;
@@ -215,17 +275,43 @@ impl Image {
             face.fill(&region, [far]);
         }
         for &[other, joint] in &occluders.joint_lists[joints_of(occluders, polygon)] {
-            let (frame, slot) = self.drawn[other as usize];
-            if frame == self.frame && slot != NONE {
+            if self.is_drawn(other) {
                 self.draw_joint(occluders, joint);
             }
         }
     }
 
+    /// Whether the polygon was drawn in this frame and hides something.
+    pub fn is_drawn(&self, polygon: u32) -> bool {
+        self.drawn[polygon as usize] == self.frame && self.slots[polygon as usize].1 != NONE
+    }
+
+    /// The polygon as seen from the eyes, set up at the first call in a frame. `None` if it hides nothing.
+    pub fn slot(&mut self, occluders: &Occluders, polygon: u32) -> Option<Setup> {
+        let (frame, slot) = self.slots[polygon as usize];
+        if frame != self.frame {
+            let setup = if self.radius > 0.0 {
+                self.set_up_for_ball(occluders, polygon)
+            } else {
+                self.set_up(occluders, polygon)
+            };
+            self.slots[polygon as usize] = (self.frame, if setup.is_some() { self.setups.len() as u32 } else { NONE });
+            self.setups.extend(setup);
+            return setup;
+        }
+        self.setups.get(slot as usize).copied()
+    }
+
+    /// Whether the polygon hides from behind where the eyes are.
+    pub fn hides_from_behind(&self, occluders: &Occluders, polygon: u32) -> bool {
+        let polygon = &occluders.polygons[polygon as usize];
+        polygon.two_sided && polygon.shell.is_none_or(|shell| shell.inflated(self.radius).contains(self.eye))
+    }
+
     /// The polygon's planes as seen from the eye; `None` if it is seen edge-on or from a side that hides nothing.
     fn set_up(&mut self, occluders: &Occluders, index: u32) -> Option<Setup> {
         let polygon = &occluders.polygons[index as usize];
-        let from_behind_too = polygon.two_sided && polygon.shell.is_none_or(|shell| shell.contains(self.eye));
+        let from_behind_too = self.hides_from_behind(occluders, index);
         let corners = occluders.corners(index);
         let corner = |i: usize| corners[i % corners.len()].as_dvec3();
         let normal = polygon.normal;
@@ -259,13 +345,20 @@ impl Image {
         // Where the polygon's plane is beyond the near limit in all directions of an image, so is the polygon.
         let reach = self.faces[0].reach;
         let near = (near.abs() < 2.0 * reach * OCCLUDER_NEAR * self.near).then(|| normal / near);
-        Some(Setup { edges: [first, self.edges.len() as u32], from_behind, far: normal / far, near })
+        Some(Setup {
+            edges: [first, self.edges.len() as u32],
+            from_behind,
+            fuses: false,
+            far: normal / far,
+            far_less: 0.0,
+            near,
+        })
     }
 
     /// Draws the strip along the common line of two polygons that are both drawn.
     fn draw_joint(&mut self, occluders: &Occluders, index: u32) {
         let joint = &occluders.joints[index as usize];
-        let [p, q] = joint.polygons.map(|polygon| self.setups[self.drawn[polygon as usize].1 as usize]);
+        let [p, q] = joint.polygons.map(|polygon| self.setups[self.slots[polygon as usize].1 as usize]);
         // Each runs anticlockwise as seen from the eye, so they lie on opposite sides iff the edges run opposite.
         if !(joint.opposite ^ p.from_behind ^ q.from_behind) {
             return;
@@ -301,9 +394,24 @@ impl Image {
         self.stats.joints += u64::from(drawn);
     }
 
+    /// Where the bound may be in a single view. From a ball its part beside the margin counts as seen.
+    fn rectangle(&self, face: &Face, relative: &Aabb) -> Seen {
+        let seen = face.rectangle(relative, self.near, self.half, self.radius);
+        if let Seen::At(rectangle) = &seen
+            && self.radius > 0.0
+        {
+            let [x, y] = [face.centre_x() / face.focal, face.centre_y() / face.focal];
+            let [across, along] = [rectangle.x, rectangle.y];
+            if !(-x <= across[0] && across[1] <= x && -y <= along[0] && along[1] <= y) {
+                return Seen::Near;
+            }
+        }
+        seen
+    }
+
     /// Whether no point of the bound can be seen in one face.
     fn hides_in(&self, face: &Face, bound: &Bound, relative: &Aabb) -> bool {
-        let seen = if self.aligned { face.rectangle_aligned(relative) } else { face.rectangle(relative, self.near) };
+        let seen = if self.aligned { face.rectangle_aligned(relative) } else { self.rectangle(face, relative) };
         let mut rectangle = match seen {
             Seen::Outside => return true,
             Seen::Near => return false,
@@ -363,15 +471,16 @@ impl Target for UnderOcclusion {
 
     /// Rays decide here, and no ray passes a sealed face but where a camera's near plane cuts it open.
     fn believes(&self, seal: &SealedFace<'_>) -> bool {
-        seal.rectangle.distance(self.image.eye) >= OCCLUDER_NEAR * self.image.near
+        seal.rectangle.distance(self.image.eye) - self.image.radius >= OCCLUDER_NEAR * self.image.near
     }
 
+    /// Never: what is closed may still be closed by something nearer. See [`UnderOcclusion::is_closed`].
     fn is_full(&self) -> bool {
-        self.image.faces.iter().all(Face::is_full)
+        false
     }
 }
 
-fn joints_of(occluders: &Occluders, polygon: u32) -> std::ops::Range<usize> {
+pub(crate) fn joints_of(occluders: &Occluders, polygon: u32) -> std::ops::Range<usize> {
     let joints = &occluders.polygons[polygon as usize].joints;
     joints.start as usize..joints.end as usize
 }
@@ -383,179 +492,4 @@ fn limit_near(region: &mut Region, face: &Face, setup: &Setup, near: f64) {
         let n = DVec3::new(0.0, 0.0, w_max) - face.local(plane);
         region.add(face.linear(n), ROUNDING * (w_max + plane.length()) * face.reach);
     }
-}
-
-/// Which rows of an image a convex hull of points can touch.
-struct Extent {
-    /// Sides of the frustum that all points so far are outside of: left, right, bottom, top, behind.
-    outside: u8,
-    /// Whether all points are in front of the eye.
-    in_front: bool,
-    x: [f64; 2],
-    y: [f64; 2],
-    half: [f64; 2],
-}
-
-impl Extent {
-    fn new(face: &Face) -> Extent {
-        let half = [face.centre_x() / face.focal, face.centre_y() / face.focal];
-        let none = [f64::INFINITY, f64::NEG_INFINITY];
-        Extent { outside: 0b11111, in_front: true, x: none, y: none, half }
-    }
-
-    #[inline]
-    fn add(&mut self, v: DVec3) {
-        let code = u8::from(v.x < -v.z * self.half[0])
-            | u8::from(v.x > v.z * self.half[0]) << 1
-            | u8::from(v.y < -v.z * self.half[1]) << 2
-            | u8::from(v.y > v.z * self.half[1]) << 3
-            | u8::from(v.z <= 0.0) << 4;
-        self.outside &= code;
-        if v.z > 1e-9 {
-            let inverse = 1.0 / v.z;
-            let (x, y) = (v.x * inverse, v.y * inverse);
-            self.x = [self.x[0].min(x), self.x[1].max(x)];
-            self.y = [self.y[0].min(y), self.y[1].max(y)];
-        } else {
-            self.in_front = false;
-        }
-    }
-
-    /// The lesser extent of the two axes, in tangents.
-    fn shorter(&self) -> f64 {
-        (self.x[1] - self.x[0]).min(self.y[1] - self.y[0])
-    }
-
-    /// The greater extent.
-    fn longer(&self) -> f64 {
-        (self.x[1] - self.x[0]).max(self.y[1] - self.y[0])
-    }
-
-    /// First and last row whose pixels may be touched, or none: also if `extent` is below `least_px` pixels, where the
-    /// work is not worth it. Leaving something out is always right.
-    fn rows(&self, face: &Face, extent: fn(&Extent) -> f64, least_px: f64) -> Option<[f64; 2]> {
-        if self.outside != 0 {
-            return None;
-        }
-        if !self.in_front {
-            return Some([0.0, f64::INFINITY]);
-        }
-        if extent(self) * face.focal < least_px {
-            return None;
-        }
-        let row = |y: f64| face.centre_y() - face.focal * y;
-        Some([row(self.y[1]).floor(), row(self.y[0]).floor()])
-    }
-}
-
-enum Seen {
-    /// No point is in the image.
-    Outside,
-    /// It touches the eye or the near plane.
-    Near,
-    At(Rectangle),
-}
-
-/// Tangents that a bound may take in an image, and its least depth there.
-struct Rectangle {
-    x: [f64; 2],
-    y: [f64; 2],
-    z: f64,
-}
-
-impl Face {
-    /// A box with sides along the image's axes, exact up to rounding.
-    ///
-    /// In the image, z is at least |x| and |y| (90°), so the nearest point of the box there has
-    /// z = max(least z, least |x|, least |y|), and x/z is extreme at that z or at the greatest one.
-    #[inline]
-    fn rectangle_aligned(&self, relative: &Aabb) -> Seen {
-        let along = |axis: DVec3| {
-            let (a, b) = (axis.dot(relative.min), axis.dot(relative.max));
-            if a < b { [a, b] } else { [b, a] }
-        };
-        let z = along(self.forward);
-        // Most faces are done here. A box that touches the eye has z[1] = 0 at least.
-        if z[1] < 0.0 {
-            return Seen::Outside;
-        }
-        let (x, y) = (along(self.right), along(self.up));
-        let least = |[low, high]: [f64; 2]| low.max(-high).max(0.0);
-        let nearest = z[0].max(least(x)).max(least(y));
-        if z[1] < nearest {
-            return Seen::Outside;
-        }
-        if nearest <= 0.0 {
-            return Seen::Near;
-        }
-        let (inverse_near, inverse_far) = (1.0 / nearest, 1.0 / z[1]);
-        let tangents = |[low, high]: [f64; 2]| {
-            let low = low * if low < 0.0 { inverse_near } else { inverse_far };
-            let high = high * if high > 0.0 { inverse_near } else { inverse_far };
-            [low.max(-1.0), high.min(1.0)]
-        };
-        Seen::At(Rectangle { x: tangents(x), y: tangents(y), z: nearest })
-    }
-
-    /// Any box in any image: by its corners if all are beyond the near plane.
-    fn rectangle(&self, relative: &Aabb, near: f64) -> Seen {
-        let corners = relative.corners().map(|corner| self.local(corner));
-        let size = relative.min.abs().max(relative.max.abs()).element_sum();
-        let slack = ROUNDING * size;
-        let half = [self.centre_x() / self.focal, self.centre_y() / self.focal];
-        let outside = |distance: fn(DVec3, [f64; 2]) -> f64| corners.iter().all(|&c| distance(c, half) > 4.0 * slack);
-        if outside(|c, _| -c.z)
-            || outside(|c, [h, _]| c.x - c.z * h)
-            || outside(|c, [h, _]| -c.x - c.z * h)
-            || outside(|c, [_, h]| c.y - c.z * h)
-            || outside(|c, [_, h]| -c.y - c.z * h)
-        {
-            return Seen::Outside;
-        }
-        let z = corners.iter().map(|c| c.z).fold(f64::INFINITY, f64::min) - slack;
-        if z < near {
-            return Seen::Near;
-        }
-        let range = |tangent: &dyn Fn(&DVec3) -> f64| {
-            let values = || corners.iter().map(tangent);
-            [values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)]
-        };
-        // A corner's tangent is wrong by at most 3·slack/z; the rest is OUTWARD_PX's.
-        let [x, y] = [range(&|c| c.x / c.z), range(&|c| c.y / c.z)].map(|[low, high]| {
-            let error = 3.0 * slack / z * (1.0 + low.abs().max(high.abs()));
-            [low - error, high + error]
-        });
-        Seen::At(Rectangle { x, y, z })
-    }
-}
-
-impl Rectangle {
-    /// Intersects with the silhouette of a ball, where it lies wholly in front.
-    fn tighten(&mut self, centre: DVec3, radius: f64) {
-        self.tighten_across(centre, radius);
-        if let Some([low, high]) = touch(centre.y, centre.z, radius) {
-            self.y = [self.y[0].max(low), self.y[1].min(high)];
-        }
-    }
-
-    /// The same across the image only: for an upright cylinder in an upright image.
-    fn tighten_across(&mut self, centre: DVec3, radius: f64) {
-        if let Some([low, high]) = touch(centre.x, centre.z, radius) {
-            self.z = self.z.max((centre.z - radius) * (1.0 - 1e-9));
-            self.x = [self.x[0].max(low), self.x[1].min(high)];
-        }
-    }
-}
-
-/// Tangents of the lines x = m·z that touch a circle in the x-z plane: (x − m·z)² = r²(1 + m²). `None` unless it lies
-/// wholly in front: rounding grows without limit as the eye nears the circle, and a box will do there.
-fn touch(x: f64, z: f64, radius: f64) -> Option<[f64; 2]> {
-    if z - radius < 0.01 * z {
-        return None;
-    }
-    let scale = 1.0 / (z * z - radius * radius);
-    let root = radius * (x * x + z * z - radius * radius).max(0.0).sqrt();
-    let (low, high) = ((x * z - root) * scale, (x * z + root) * scale);
-    let slack = 1e-9 * (1.0 + low.abs().max(high.abs()));
-    Some([low - slack, high + slack])
 }

@@ -106,6 +106,8 @@ impl Linear {
 pub(crate) struct Region {
     width: f64,
     rows: [f64; 2],
+    /// Set if a region is known to lie in these columns: then conditions that hold in all of it are left out.
+    columns: Option<[f64; 2]>,
     /// Bounds from the left from the front on, bounds from the right from the back on.
     bounds: [(f64, f64); Region::CONDITIONS_MAX],
     left_count: usize,
@@ -113,8 +115,9 @@ pub(crate) struct Region {
 }
 
 impl Region {
-    /// A joint of two polygons of 8 corners: 7 edges and a near limit of each, and two for the band.
-    const CONDITIONS_MAX: usize = 18;
+    /// A joint of two polygons of 8 corners: 7 edges and a near limit of each, and two for the band. For eyes in a ball
+    /// [`crate::under_region`] joins more, and gives up beyond this.
+    const CONDITIONS_MAX: usize = 32;
 
     /// Every pixel in these rows (inclusive).
     pub fn rows(face: &Face, first: f64, last: f64) -> Region {
@@ -122,10 +125,60 @@ impl Region {
             // To the end of the last tiles, or these could never be full.
             width: (face.width.div_ceil(TILE) * TILE) as f64,
             rows: [first.max(0.0), last.min((face.height.div_ceil(TILE) * TILE) as f64 - 1.0)],
+            columns: None,
             bounds: [(0.0, 0.0); Region::CONDITIONS_MAX],
             left_count: 0,
             right_count: 0,
         }
+    }
+
+    /// Every pixel in these columns and rows (inclusive).
+    pub fn within(face: &Face, columns: [f64; 2], rows: [f64; 2]) -> Region {
+        let mut region = Region::rows(face, rows[0], rows[1]);
+        let columns = [columns[0].max(0.0), columns[1].min(region.width - 1.0)];
+        region.columns = Some(columns);
+        if !(columns[0] <= columns[1]) {
+            region.rows[1] = -1.0;
+        }
+        region.bounds[0] = (columns[0], 0.0);
+        region.left_count = 1;
+        region.bounds[Region::CONDITIONS_MAX - 1] = (columns[1], 0.0);
+        region.right_count = 1;
+        region
+    }
+
+    /// Like [`Region::add`], for a region made by [`Region::within`]. Returns whether it left any of its pixels out.
+    pub fn cut(&mut self, linear: Linear, error: f64) -> bool {
+        self.cut_raw(Linear { c: linear.c - linear.half_pixel() * (1.0 + 2.0 * INSET_PX) - error, ..linear })
+    }
+
+    /// Keeps the pixels whose square may reach outside `linear ≥ 0`, give or take a pixel: no more than a saving.
+    pub fn cut_to_border(&mut self, linear: Linear, error: f64) {
+        self.cut_raw(Linear { a: -linear.a, b: -linear.b, c: linear.half_pixel() * 3.0 + error - linear.c });
+    }
+
+    /// Keeps the pixels whose square may reach into `linear ≥ 0`, give or take a pixel: no more than a saving.
+    pub fn cut_to_touching(&mut self, linear: Linear, error: f64) {
+        self.cut_raw(Linear { c: linear.c + linear.half_pixel() * 3.0 + error, ..linear });
+    }
+
+    fn cut_raw(&mut self, linear: Linear) -> bool {
+        let columns = self.columns.expect("only a region with columns is cut");
+        let Linear { a, b, c } = linear;
+        let extreme = |least: bool| {
+            let x = columns[usize::from((a > 0.0) != least)];
+            let y = self.rows[usize::from((b > 0.0) != least)];
+            a * x + b * y + c
+        };
+        if self.is_empty() || extreme(true) >= 0.0 {
+            return false;
+        }
+        if !(extreme(false) >= 0.0) || self.left_count + self.right_count == Region::CONDITIONS_MAX {
+            self.rows[1] = -1.0;
+        } else {
+            self.add_raw(linear);
+        }
+        true
     }
 
     pub fn is_empty(&self) -> bool {
@@ -184,21 +237,29 @@ impl Face {
     pub fn new([right, up, forward]: [DVec3; 3], focal: f64, width: usize, height: usize) -> Face {
         assert!(width.max(height) <= SIDE_MAX, "an image of {width}x{height} pixels is larger than {SIDE_MAX} a side");
         let (tiles_x, tiles_y) = (width.div_ceil(TILE), height.div_ceil(TILE));
-        let (x, y) = (tiles_x as f64 * 4.0 / focal, tiles_y as f64 * 4.0 / focal);
-        Face {
+        let mut face = Face {
             right,
             up,
             forward,
             focal,
             width,
             height,
-            reach: (1.0 + 4.0 * (x * x + y * y)).sqrt(),
+            reach: 1.0,
             tiles_x,
             least: vec![0.0; tiles_x * tiles_y],
             tiles: vec![OPEN; tiles_x * tiles_y],
             pixels: vec![[[0.0; TILE]; TILE]; tiles_x * tiles_y],
             open_tiles: tiles_x * tiles_y,
-        }
+        };
+        face.set_focal(focal);
+        face
+    }
+
+    /// Looks at more or less with as many pixels. What was drawn must be cleared.
+    pub fn set_focal(&mut self, focal: f64) {
+        let (x, y) = (self.tiles_x as f64 * 4.0 / focal, (self.least.len() / self.tiles_x.max(1)) as f64 * 4.0 / focal);
+        self.focal = focal;
+        self.reach = (1.0 + 4.0 * (x * x + y * y)).sqrt();
     }
 
     pub fn clear(&mut self) {

@@ -105,7 +105,7 @@ fn table_3() {
         let mut rng = Pcg64::seed_from_u64(38);
         (0..40).map(|_| made::visitor(&mut rng, 16, resolution)).collect()
     };
-    println!("{} triangles, {} cells, {resolution}", scene.triangles().len(), cplp.octree().cell_count());
+    println!("{} triangles, {} cells, {resolution}", scene.triangles().len(), cplp.tessellation().cell_count());
     println!("back end, budget, rounds, passes, extra triangles, PLP share, z-tests per pixel, read back");
     let mean = |of: &dyn Fn(usize) -> f64| (0..views.len()).map(of).sum::<f64>() / views.len() as f64;
     for kind in QueryKind::ALL {

@@ -262,7 +262,7 @@ fn the_corner_of_a_room_does_not_leak() {
         add_box(&mut triangles, [-4.0, -4.0, -6.0], [3.0, 4.0, -5.0], Sides::Front, 0.0);
         add_box(&mut triangles, [3.0, -4.0, -5.0], [4.0, 4.0, 5.0], Sides::Front, 0.0);
         let occlusion = cull(triangles, eye, 64);
-        assert!(!occlusion.is_full());
+        assert!(!occlusion.is_closed());
         let behind = Bound::Box(Aabb::new(DVec3::new(2.5, -1.0, -8.0), DVec3::new(5.5, 1.0, -7.0)));
         assert!(occlusion.hides(&behind), "{eye}");
     }
@@ -275,7 +275,7 @@ fn what_touches_the_eye_or_has_no_limit_is_never_hidden() {
     let occlusion = cull(triangles, DVec3::ZERO, 64);
     assert!(occlusion.hides(&Bound::Sphere { centre: DVec3::new(0.0, 0.0, -5.0), radius: 1.0 }));
     // The eight corners of a box are three polygons' business, so only a view between them is full.
-    assert!(!occlusion.is_full());
+    assert!(!occlusion.is_closed());
     assert!(!occlusion.hides(&Bound::Everywhere));
     assert!(!occlusion.hides(&Bound::Box(Aabb::around(DVec3::ZERO, DVec3::splat(100.0)))));
     assert!(!occlusion.hides(&Bound::Box(Aabb::new(DVec3::ZERO, DVec3::new(0.1, 0.1, 50.0)))));
@@ -321,9 +321,15 @@ fn a_bent_quad_hides_only_what_is_behind_its_farthest_corner() {
 }
 
 #[test]
-fn a_region_that_is_no_point_is_refused() {
+fn a_region_that_is_no_ball_is_refused() {
     let mut occlusion = cull(Vec::new(), DVec3::ZERO, 16);
-    assert_eq!(occlusion.start(EyeRegion { centre: DVec3::ZERO, radius: 0.2 }), Err(RegionError::NotAPoint(0.2)));
+    for radius in [-0.2, f64::INFINITY, f64::NEG_INFINITY] {
+        assert_eq!(occlusion.start(EyeRegion { centre: DVec3::ZERO, radius }), Err(RegionError::NotABall(radius)));
+    }
+    assert!(matches!(
+        occlusion.start(EyeRegion { centre: DVec3::ZERO, radius: f64::NAN }),
+        Err(RegionError::NotABall(_))
+    ));
     assert_eq!(occlusion.start(EyeRegion::point(DVec3::NAN)), Err(RegionError::NotFinite));
 }
 
@@ -371,9 +377,9 @@ fn a_view_of_nothing_but_wall_is_full_at_any_resolution() {
         let scene = Scene::from_triangles(triangles);
         let view = View::level(DVec3::ZERO, 0.1, 1.2, Resolution::new(width, height));
         let mut occlusion = UnderOcclusion::single(Arc::new(Occluders::build(&scene)), &view);
-        assert!(!occlusion.is_full());
+        assert!(!occlusion.is_closed());
         occlusion.draw(&[1]);
-        assert!(occlusion.is_full(), "{width}x{height}");
+        assert!(occlusion.is_closed(), "{width}x{height}");
     }
 }
 

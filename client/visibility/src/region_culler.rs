@@ -1,0 +1,96 @@
+//! Which primitives can be seen from some eye of a ball, with the view's orientation and angle of view, at any resolution?
+//!
+//! cPLP over cells with an under-estimating image as its target (proofs: [`crate::Cplp`] for the chain of cells that leads
+//! to whatever an eye sees, `under_region` for "hidden"). Afterwards each primitive's own box is asked about, which is
+//! much tighter than its cell's, and primitives that turn their one side away from the whole ball are dropped.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+
+use crate::{
+    Bound, Budget, Cplp, Culled, Culler, EyeRegion, Occluders, Occlusion, OctreeRules, Resolution, Scene, Scratch,
+    Sides, Triangle, View,
+};
+
+/// Conservative PLP for every eye of a ball and every resolution. A region that is no ball, or a view without an angle,
+/// gets everything.
+#[derive(Clone, Debug)]
+pub struct RegionCuller {
+    scene: Arc<Scene>,
+    cplp: Arc<Cplp>,
+    occluders: Arc<Occluders>,
+    pixels: u32,
+}
+
+/// Pixels of the image by default: those of 256×128.
+const PIXELS: u32 = 256 * 128;
+
+/// An image is at most so many times wider than high, or higher than wide; else it shows more than the view.
+const ASPECT_MAX: f64 = 16.0;
+
+/// An eye may be this sine behind a one-sided primitive's plane and still count as before it: the rasteriser's 24.8
+/// coordinates may turn what is seen edge-on.
+const TURNED_AWAY: f64 = 1e-3;
+
+impl RegionCuller {
+    /// Culls with cells and occluders that were made for this scene, in images of about `pixels` pixels. More are tighter
+    /// and slower.
+    pub fn new(scene: Arc<Scene>, cplp: Arc<Cplp>, occluders: Arc<Occluders>, pixels: u32) -> RegionCuller {
+        assert_eq!(scene.triangles().len(), cplp.tessellation().primitive_total(), "the cells are another scene's");
+        RegionCuller { scene, cplp, occluders, pixels: pixels.clamp(1, 1 << 20) }
+    }
+
+    /// Makes cells and occluders by default rules.
+    pub fn build(scene: Arc<Scene>) -> RegionCuller {
+        let (cplp, occluders) = (Cplp::build(&scene, OctreeRules::default()), Occluders::build(&scene));
+        RegionCuller::new(scene, Arc::new(cplp), Arc::new(occluders), PIXELS)
+    }
+
+    /// The view as this culler draws it: from the region's centre, at least as wide and high, in its own resolution.
+    fn image(&self, view: &View, region: EyeRegion) -> Option<View> {
+        let Resolution { width, height } = view.resolution;
+        let x = (view.fov_x * 0.5).tan();
+        let y = x * f64::from(height.max(1)) / f64::from(width.max(1));
+        let ok = x > 0.0 && x.is_finite() && view.near > 0.0 && view.near.is_finite() && view.orientation.is_finite();
+        if !ok {
+            return None;
+        }
+        let (x, y) = (x.max(y / ASPECT_MAX), y.max(x / ASPECT_MAX));
+        let columns = (f64::from(self.pixels) * x / y).sqrt().ceil();
+        let resolution = Resolution::new(columns as u32, (columns * y / x).ceil() as u32);
+        let fov_x = 2.0 * (x * (1.0 + 1e-9)).atan();
+        Some(View { eye: region.centre, fov_x, resolution, ..*view })
+    }
+}
+
+impl Culler for RegionCuller {
+    fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
+        let all = || Culled { visible: (0..self.scene.triangles().len() as u32).collect(), ..Culled::default() };
+        let Some(image) = self.image(view, region) else {
+            scratch.forget();
+            return all();
+        };
+        let (under, cplp) = scratch.under(&self.occluders, &image);
+        if under.start(region).is_err() {
+            scratch.forget();
+            return all();
+        }
+        let traversal = self.cplp.traverse(&self.scene, region, Budget { triangles: 0 }, under, cplp);
+        let triangles = self.scene.triangles();
+        let seen = |&id: &u32| {
+            let triangle = &triangles[id as usize];
+            !turned_away(triangle, region) && !under.hides(&Bound::Box(triangle.aabb()))
+        };
+        Culled { visible: cplp.visible().iter().copied().filter(seen).collect(), traversal, z_tests: 0 }
+    }
+}
+
+/// Whether every eye of the region is behind the plane of a one-sided triangle.
+fn turned_away(triangle: &Triangle, region: EyeRegion) -> bool {
+    let [a, b, c] = triangle.corners.map(|corner| corner.as_dvec3());
+    let normal: DVec3 = (b - a).cross(c - a);
+    let reach = [a, b, c].iter().map(|corner| corner.distance(region.centre)).fold(region.radius, f64::max);
+    triangle.sides == Sides::Front
+        && normal.dot(region.centre - a) < -normal.length() * (region.radius + TURNED_AWAY * reach)
+}

@@ -1,0 +1,143 @@
+//! What one worker keeps from frame to frame, whichever culler it uses, and which image speaks for the last cull.
+
+use std::sync::Arc;
+
+use crate::front_to_back::Leaves;
+use crate::hierarchical_z::ZPyramid;
+use crate::{
+    Bound, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, MaskedCplpScratch, Occluders, Occlusion, QueryBackEnd,
+    QueryKind, Resolution, UnderOcclusion, View,
+};
+
+/// What one worker needs to cull. What a culler does not use stays empty.
+#[derive(Clone, Debug)]
+pub struct Scratch {
+    pub(crate) cplp: CplpScratch,
+    pub(crate) depth: DepthBuffer,
+    pub(crate) leaves: Leaves,
+    pub(crate) pyramid: ZPyramid,
+    masked: MaskedCplpScratch,
+    under: Option<UnderOcclusion>,
+    query: Option<(QueryKind, CpuQuery)>,
+    speaker: Speaker,
+}
+
+/// What knows the depths that speak for the region of the last cull.
+#[derive(Clone, Copy, Debug)]
+enum Speaker {
+    Nothing,
+    Depth,
+    Query,
+    Masked,
+    Under,
+}
+
+impl Default for Scratch {
+    fn default() -> Scratch {
+        let nowhere = View::level(glam::DVec3::ZERO, 0.0, 1.0, Resolution::new(0, 0));
+        Scratch {
+            cplp: CplpScratch::default(),
+            depth: DepthBuffer::new(&nowhere),
+            leaves: Leaves::default(),
+            pyramid: ZPyramid::default(),
+            masked: MaskedCplpScratch::default(),
+            under: None,
+            query: None,
+            speaker: Speaker::Nothing,
+        }
+    }
+}
+
+impl Scratch {
+    /// What the last cull knows to be hidden: in that view and at that resolution (see [`DepthBuffer`]), or, by
+    /// [`crate::RegionCuller`], for every eye of the region and at every resolution.
+    pub fn occlusion(&self) -> &dyn Occlusion {
+        match (self.speaker, &self.query, &self.under) {
+            (Speaker::Depth, ..) => &self.depth,
+            (Speaker::Query, Some((_, query)), _) => query.depth(),
+            (Speaker::Masked, ..) => self.masked.image(),
+            (Speaker::Under, _, Some(under)) => under,
+            _ => &NothingHidden,
+        }
+    }
+
+    /// What the last walk of a [`crate::MaskedCplp`] left.
+    pub fn masked(&self) -> &MaskedCplpScratch {
+        &self.masked
+    }
+
+    /// What the last traversal of a [`crate::CplpCuller`] or [`crate::CplpQueryCuller`] left.
+    pub fn cplp(&self) -> &CplpScratch {
+        &self.cplp
+    }
+
+    /// The same, to have its fronts recorded.
+    pub fn cplp_mut(&mut self) -> &mut CplpScratch {
+        &mut self.cplp
+    }
+
+    /// The query back end of the last [`crate::CplpQueryCuller`].
+    pub fn query(&self) -> Option<&CpuQuery> {
+        self.query.as_ref().map(|(_, query)| query)
+    }
+
+    /// Nothing is known to be hidden any more.
+    pub(crate) fn forget(&mut self) {
+        self.speaker = Speaker::Nothing;
+    }
+
+    /// Starts a frame; whether the depth buffer can speak for `region` at all.
+    pub(crate) fn begin(&mut self, view: &View, region: EyeRegion) -> bool {
+        let speaks = self.speak(Speaker::Depth, view, region);
+        if speaks {
+            self.depth.begin(view);
+        }
+        speaks
+    }
+
+    /// Likewise for a walk against coverage masks.
+    pub(crate) fn begin_masked(&mut self, view: &View, region: EyeRegion) -> Option<&mut MaskedCplpScratch> {
+        self.speak(Speaker::Masked, view, region).then_some(&mut self.masked)
+    }
+
+    /// Likewise for a culler that draws into a query back end. The back end is kept while its kind is.
+    pub(crate) fn begin_query(
+        &mut self,
+        view: &View,
+        region: EyeRegion,
+        kind: QueryKind,
+    ) -> Option<(&mut CpuQuery, &mut CplpScratch)> {
+        if !self.speak(Speaker::Query, view, region) {
+            return None;
+        }
+        let (_, query) = match self.query.take() {
+            Some(kept) if kept.0 == kind => self.query.insert(kept),
+            _ => self.query.insert((kind, kind.back_end())),
+        };
+        Some((query, &mut self.cplp))
+    }
+
+    /// An under-estimating image of `view` that speaks from now on, and cPLP's part.
+    pub(crate) fn under(&mut self, occluders: &Arc<Occluders>, view: &View) -> (&mut UnderOcclusion, &mut CplpScratch) {
+        self.speaker = Speaker::Under;
+        let kept = self.under.take().and_then(|under| under.aimed(occluders, view));
+        let under = kept.unwrap_or_else(|| UnderOcclusion::single(Arc::clone(occluders), view));
+        (self.under.insert(under), &mut self.cplp)
+    }
+
+    /// Whether an image that is sampled from the view's own eye can speak for a region; it does from now on if so.
+    fn speak(&mut self, speaker: Speaker, view: &View, region: EyeRegion) -> bool {
+        let speaks = region == EyeRegion::point(view.eye);
+        self.speaker = if speaks { speaker } else { Speaker::Nothing };
+        speaks
+    }
+}
+
+/// The occlusion of an empty world without edges.
+struct NothingHidden;
+
+impl Occlusion for NothingHidden {
+    fn hides(&self, _: &Bound) -> bool {
+        false
+    }
+}

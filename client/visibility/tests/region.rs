@@ -1,0 +1,384 @@
+//! Visibility from a ball of eyes: what is called hidden must be hidden from each of them, along every ray.
+
+mod made;
+mod under_support;
+
+use std::sync::Arc;
+
+use eyeline_visibility::{
+    Aabb, AllRound, AllRoundCells, Bound, Culler, EyeRegion, Occlusion, OctreeRules, RayScene, RegionCuller,
+    Resolution, Scene, Scratch, Sides, Triangle, View, exact_set,
+};
+use glam::{DVec3, Vec3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use under_support::{Corners, ROOM, Rays, add_box, entry, random_eye, rooms};
+
+const RADII: [f64; 6] = [0.0, 0.05, 0.15, 0.3, 0.6, 1.0];
+
+fn direction(rng: &mut Pcg64) -> DVec3 {
+    loop {
+        let v = DVec3::from_array(std::array::from_fn(|_| rng.random_range(-1.0..=1.0)));
+        if (0.1..1.0).contains(&v.length()) {
+            return v.normalize();
+        }
+    }
+}
+
+/// An eye of the ball, mostly on its surface.
+fn eye_in(region: EyeRegion, rng: &mut Pcg64) -> DVec3 {
+    let part = if rng.random_bool(0.7) { 1.0 } else { rng.random_range(0.0..1.0) };
+    region.centre + direction(rng) * (region.radius * part)
+}
+
+fn point_in(aabb: &Aabb, rng: &mut Pcg64) -> DVec3 {
+    aabb.min + aabb.size() * DVec3::from_array(std::array::from_fn(|_| rng.random_range(0.0..=1.0)))
+}
+
+/// An eye of the ball and a point of the box that it sees, if random rays and rays past the edges of occluders find any.
+fn witness(
+    scene: &Scene,
+    rays: &Rays,
+    region: EyeRegion,
+    aabb: &Aabb,
+    count: usize,
+    rng: &mut Pcg64,
+) -> Option<[DVec3; 2]> {
+    for _ in 0..count {
+        let (eye, point) = (eye_in(region, rng), point_in(aabb, rng));
+        if !rays.blocked(eye, point) {
+            return Some([eye, point]);
+        }
+        let eye = eye_in(region, rng);
+        let corners = scene.triangles()[rng.random_range(0..scene.triangles().len())].corners.map(|c| c.as_dvec3());
+        let i = rng.random_range(0..3);
+        let on_edge = corners[i].lerp(corners[(i + 1) % 3], rng.random_range(-0.01..1.01));
+        let through = on_edge + direction(rng) * 10.0_f64.powf(rng.random_range(-6.0..-1.0));
+        let along = through - eye;
+        if let Some(t) = entry(aabb, eye, along)
+            && !rays.blocked(eye, eye + along * t)
+        {
+            return Some([eye, eye + along * t]);
+        }
+    }
+    None
+}
+
+fn random_box(around: DVec3, reach: f64, rng: &mut Pcg64) -> Aabb {
+    let centre = around + direction(rng) * DVec3::new(1.0, 0.2, 1.0) * rng.random_range(0.3..reach);
+    match rng.random_range(0..3) {
+        0 => Aabb::around(centre.with_y(0.9), DVec3::new(0.3, 0.88, 0.3)),
+        1 => Aabb::around(centre, DVec3::splat(10.0_f64.powf(rng.random_range(-3.0..0.3)))),
+        _ => {
+            Aabb::around(centre, DVec3::from_array(std::array::from_fn(|_| 10.0_f64.powf(rng.random_range(-2.0..0.5)))))
+        }
+    }
+}
+
+/// Asks about `bounds` random boxes from a region and checks each that is called hidden by `count` rays of each kind.
+#[expect(clippy::too_many_arguments, reason = "a test's setting is many numbers")]
+fn check(
+    scene: &Scene,
+    rays: &Rays,
+    all_round: &AllRound,
+    region: EyeRegion,
+    side: u32,
+    bounds: usize,
+    count: usize,
+    rng: &mut Pcg64,
+) -> usize {
+    let mut scratch = all_round.scratch(side);
+    let occlusion = all_round.cull(region, &mut scratch).unwrap();
+    let mut hidden = 0;
+    for _ in 0..bounds {
+        let aabb = random_box(region.centre, 12.0, rng);
+        if occlusion.hides(&Bound::Box(aabb)) {
+            hidden += 1;
+            if let Some([eye, point]) = witness(scene, rays, region, &aabb, count, rng) {
+                panic!("{aabb:?} is called hidden from {region:?} at {side} px, but {eye} sees {point}");
+            }
+        }
+    }
+    hidden
+}
+
+#[test]
+fn what_is_hidden_from_a_ball_is_hidden_from_every_eye_of_it() {
+    let mut rng = Pcg64::seed_from_u64(1);
+    for (corners, sides, turn) in [
+        (Corners::Abut, Sides::Both, 0.0),
+        (Corners::Overlap, Sides::Front, 0.0),
+        (Corners::Abut, Sides::Front, 0.3),
+        (Corners::Overlap, Sides::Both, 1.1),
+    ] {
+        let scene = rooms(4, corners, sides, turn, &mut rng);
+        let (rays, all_round) = (Rays::new(&scene), AllRound::new(&scene));
+        let mut hidden = [0; RADII.len()];
+        for (hidden, radius) in hidden.iter_mut().zip(RADII) {
+            for side in [64, 128] {
+                for round in 0..5 {
+                    let mut centre = random_eye(4, turn, &mut rng);
+                    match round {
+                        // The ball touches a wall, straddles it, or is around a wall's edge (before turning).
+                        1 => centre.x = (centre.x / ROOM).round() * ROOM + 0.1 + radius,
+                        2 => centre.x = (centre.x / ROOM).round() * ROOM + 0.1 + radius * 0.5,
+                        3 => centre = (centre / ROOM).round() * ROOM + DVec3::new(0.3, 1.7, 0.2),
+                        _ => {}
+                    }
+                    let region = EyeRegion { centre, radius };
+                    *hidden += check(&scene, &rays, &all_round, region, side, 60, 60, &mut rng);
+                }
+            }
+        }
+        println!("{corners:?} {sides:?} {turn}: {hidden:?} hidden of 600 at {RADII:?}");
+        assert!(hidden.iter().all(|&hidden| hidden > 30), "{hidden:?}: the test says little");
+    }
+}
+
+fn wall(triangles: &mut Vec<Triangle>, x: [f32; 2], y: [f32; 2], z: f32) {
+    let at = |i: usize, j: usize| Vec3::new(x[i], y[j], z);
+    for corners in [[at(0, 0), at(1, 0), at(1, 1)], [at(0, 0), at(1, 1), at(0, 1)]] {
+        triangles.push(Triangle { corners, sides: Sides::Both, occludes: true });
+    }
+}
+
+fn hides(triangles: Vec<Triangle>, region: EyeRegion, bound: &Bound) -> bool {
+    let all_round = AllRound::new(&Scene::from_triangles(triangles));
+    let mut scratch = all_round.scratch(128);
+    all_round.cull(region, &mut scratch).unwrap().hides(bound)
+}
+
+#[test]
+fn a_jamb_uncovers_more_than_the_eye_moves() {
+    // The eye stands 0.3 m before a jamb at x = 0. Moving by 0.15 m it sees 15 m more at 30 m.
+    let mut triangles = Vec::new();
+    wall(&mut triangles, [-200.0, 0.0], [-50.0, 50.0], -0.3);
+    let ball = |radius: f64| EyeRegion { centre: DVec3::ZERO, radius };
+    let far = |x: f64| Bound::Box(Aabb::around(DVec3::new(x, 0.0, -30.0), DVec3::splat(0.1)));
+    assert!(hides(triangles.clone(), ball(0.0), &far(-2.0)));
+    assert!(!hides(triangles.clone(), ball(0.15), &far(-2.0)));
+    assert!(!hides(triangles.clone(), ball(0.15), &far(-14.0)));
+    assert!(hides(triangles.clone(), ball(0.15), &far(-21.0)));
+    // A ball that touches the wall, or straddles it, has eyes before which nothing stands.
+    assert!(!hides(triangles.clone(), ball(0.3), &far(-100.0)));
+    assert!(!hides(triangles, ball(0.4), &far(-100.0)));
+}
+
+#[test]
+fn a_slit_is_seen_through_and_touching_pieces_are_not() {
+    for slit in [0.0, 1e-4, 0.01, 0.05] {
+        let mut triangles = Vec::new();
+        wall(&mut triangles, [-8.0, 0.1], [-8.0, 8.0], -3.0);
+        wall(&mut triangles, [0.1 + slit, 8.0], [-7.0, 9.0], -3.0);
+        let behind = Bound::Box(Aabb::around(DVec3::new(0.0, 0.0, -5.0), DVec3::splat(0.3)));
+        for radius in RADII {
+            let region = EyeRegion { centre: DVec3::ZERO, radius };
+            assert_eq!(hides(triangles.clone(), region, &behind), slit == 0.0, "{slit} {radius}");
+        }
+    }
+}
+
+#[test]
+fn a_room_without_a_door_hides_all_that_is_outside() {
+    // Walls that stand on, run into and abut a floor and a ceiling that go on outside.
+    let mut triangles = Vec::new();
+    for y in [-0.2, 3.0] {
+        add_box(&mut triangles, [-9.0, y, -9.0], [9.0, y + 0.2, 9.0], Sides::Both, 0.4);
+    }
+    for x in [-3.1, 2.9] {
+        add_box(&mut triangles, [x, 0.0, -4.0], [x + 0.2, 3.0, 4.0], Sides::Both, 0.4);
+    }
+    for z in [-2.1, 1.9] {
+        add_box(&mut triangles, [-3.0, -0.1, z], [3.0, 3.1, z + 0.2], Sides::Front, 0.4);
+    }
+    let all_round = AllRound::new(&Scene::from_triangles(triangles));
+    let mut scratch = all_round.scratch(64);
+    let mut rng = Pcg64::seed_from_u64(4);
+    for radius in [0.05, 0.3, 0.6, 1.0] {
+        let region = EyeRegion { centre: DVec3::new(0.3, 1.5, -0.2), radius };
+        let occlusion = all_round.cull(region, &mut scratch).unwrap();
+        let mut hidden = 0;
+        for _ in 0..500 {
+            let along = direction(&mut rng);
+            let at = region.centre + along / along.abs().max_element() * 12.0;
+            hidden += usize::from(occlusion.hides(&Bound::Sphere { centre: at, radius: 1.0 }));
+        }
+        assert!(hidden > 490, "{hidden} of 500 at {radius}");
+    }
+}
+
+#[test]
+fn a_ball_of_no_size_is_a_point() {
+    let mut rng = Pcg64::seed_from_u64(5);
+    let scene = rooms(3, Corners::Abut, Sides::Both, 0.0, &mut rng);
+    let all_round = AllRound::new(&scene);
+    let [mut point, mut ball] = [all_round.scratch(64), all_round.scratch(64)];
+    let (mut more, mut less) = (0, 0);
+    for _ in 0..20 {
+        let centre = random_eye(3, 0.0, &mut rng);
+        let point = all_round.cull(EyeRegion::point(centre), &mut point).unwrap();
+        let ball = all_round.cull(EyeRegion { centre, radius: 1e-9 }, &mut ball).unwrap();
+        for _ in 0..100 {
+            let bound = Bound::Box(random_box(centre, 10.0, &mut rng));
+            let hidden = [point.hides(&bound), ball.hides(&bound)];
+            more += usize::from(hidden == [false, true]);
+            less += usize::from(hidden == [true, false]);
+        }
+    }
+    // Fusion closes corners that joints leave open.
+    println!("{less} less and {more} more hidden");
+    assert!(less <= 10, "{less} less and {more} more hidden");
+}
+
+/// Checks that what `eyes` eyes of each ball see is in the visible sets of both cullers.
+fn check_sets(scene: Scene, regions: &[EyeRegion], eyes: usize, rays: usize, side: u32, rng: &mut Pcg64) -> [f64; 2] {
+    let scene = Arc::new(scene);
+    let ray_scene = RayScene::new(&scene);
+    let culler = RegionCuller::build(Arc::clone(&scene));
+    let cells = AllRoundCells::new(Arc::clone(&scene), OctreeRules::default());
+    let (mut scratch, mut cells_scratch) = (Scratch::default(), cells.scratch(64));
+    let (mut kept, mut seen_total) = (0, 0);
+    for &region in regions {
+        let resolution = Resolution::new(side, side * 3 / 4);
+        let mut view = View::level(region.centre, rng.random_range(0.0..6.3), rng.random_range(0.6..2.2), resolution);
+        view.orientation *= glam::DQuat::from_rotation_x(rng.random_range(-0.5..0.5));
+        let visible = culler.cull(&view, region, &mut scratch).visible;
+        cells.cull(region, &mut cells_scratch).unwrap();
+        let mut seen = vec![false; scene.triangles().len()];
+        for _ in 0..eyes {
+            let eye = eye_in(region, rng);
+            let from = View { eye, ..view };
+            for id in exact_set(&scene, &from).0 {
+                assert!(visible.binary_search(&id).is_ok(), "{id} is seen from {eye} in {region:?}, {view:?}");
+                assert!(cells_scratch.visible().binary_search(&id).is_ok(), "{id} is seen from {eye} in {region:?}");
+                seen[id as usize] = true;
+            }
+            for _ in 0..rays {
+                let along = direction(rng);
+                let hit = ray_scene.first_hit(eye, along, 0.01, f64::INFINITY);
+                if let Some(id) = hit.map(|hit| hit.primitive) {
+                    assert!(cells_scratch.visible().binary_search(&id).is_ok(), "{id} is hit from {eye} in {region:?}");
+                }
+            }
+        }
+        kept += visible.len();
+        seen_total += seen.iter().filter(|&&seen| seen).count();
+    }
+    [kept, seen_total].map(|sum| sum as f64 / regions.len() as f64)
+}
+
+fn regions_in(n: u32, count: usize, rng: &mut Pcg64) -> Vec<EyeRegion> {
+    (0..count)
+        .map(|i| {
+            let radius = RADII[i % RADII.len()];
+            let mut centre = random_eye(n, 0.0, rng);
+            match i % 5 {
+                1 => centre.x = (centre.x / ROOM).round() * ROOM + 0.1 + radius,
+                2 => centre = (centre / ROOM).round() * ROOM + DVec3::new(0.3, 1.7, 0.2),
+                _ => {}
+            }
+            EyeRegion { centre, radius }
+        })
+        .collect()
+}
+
+#[test]
+fn what_any_eye_of_a_ball_sees_is_in_the_visible_set() {
+    let mut rng = Pcg64::seed_from_u64(2);
+    for corners in [Corners::Abut, Corners::Overlap] {
+        let scene = rooms(4, corners, Sides::Both, 0.0, &mut rng);
+        let triangles = scene.triangles().len() as f64;
+        let regions = regions_in(4, 12, &mut rng);
+        let [kept, seen] = check_sets(scene, &regions, 25, 40, 48, &mut rng);
+        println!("{corners:?}: {kept} of {triangles} kept, {seen} seen");
+        assert!(kept < triangles * 0.4, "{kept} of {triangles} kept");
+    }
+    for seed in 0..3 {
+        let mut balls = || EyeRegion { centre: direction(&mut rng) * 4.0, radius: RADII[seed as usize * 2 + 1] };
+        let regions: Vec<EyeRegion> = (0..4).map(|_| balls()).collect();
+        check_sets(made::soup(seed, 300), &regions, 15, 40, 48, &mut rng);
+    }
+    let scene = made::building(3, 8, 3);
+    let regions: Vec<EyeRegion> = (0..6)
+        .map(|i| EyeRegion {
+            centre: DVec3::new(rng.random_range(0.3..14.7), 1.6, rng.random_range(0.3..14.7)),
+            radius: RADII[i],
+        })
+        .collect();
+    check_sets(scene, &regions, 20, 40, 48, &mut rng);
+}
+
+#[test]
+fn a_region_that_is_no_ball_and_a_view_of_nothing_have_a_defined_result() {
+    let mut rng = Pcg64::seed_from_u64(6);
+    let scene = Arc::new(rooms(2, Corners::Abut, Sides::Both, 0.0, &mut rng));
+    let culler = RegionCuller::build(Arc::clone(&scene));
+    let mut scratch = Scratch::default();
+    let view = View::level(DVec3::new(3.0, 1.7, 3.0), 0.0, 1.4, Resolution::new(64, 48));
+    for radius in [-1.0, f64::NAN, f64::INFINITY] {
+        let region = EyeRegion { centre: view.eye, radius };
+        assert_eq!(culler.cull(&view, region, &mut scratch).visible.len(), scene.triangles().len());
+        assert!(!scratch.occlusion().hides(&Bound::Box(Aabb::around(DVec3::splat(99.0), DVec3::ONE))));
+    }
+    let ball = EyeRegion { centre: view.eye, radius: 0.3 };
+    for (width, height) in [(0, 0), (1, 1), (1, 8192), (8192, 1), (7, 0)] {
+        let view = View { resolution: Resolution::new(width, height), ..view };
+        assert!(!culler.cull(&view, ball, &mut scratch).visible.is_empty());
+    }
+    for fov_x in [0.0, f64::NAN, 1e-6, 3.1415] {
+        culler.cull(&View { fov_x, ..view }, ball, &mut scratch);
+    }
+    for centre in [DVec3::new(6.0, 1.7, 3.0), DVec3::new(0.0, 0.0, 0.0), DVec3::splat(1e9), DVec3::new(0.1, 1.7, 3.0)] {
+        culler.cull(&view, EyeRegion { centre, radius: 0.3 }, &mut scratch);
+    }
+    let empty = RegionCuller::build(Arc::new(Scene::from_triangles(Vec::new())));
+    assert!(empty.cull(&view, ball, &mut Scratch::default()).visible.is_empty());
+}
+
+/// `cargo test --release -p eyeline-visibility --test region -- --ignored --nocapture`
+#[test]
+#[ignore = "two hundred thousand eyes"]
+fn what_any_of_a_thousand_eyes_sees_is_in_the_visible_set() {
+    let mut rng = Pcg64::seed_from_u64(3);
+    for corners in [Corners::Abut, Corners::Overlap] {
+        let scene = rooms(5, corners, Sides::Both, 0.0, &mut rng);
+        for radius in RADII {
+            let mut regions = regions_in(5, 17, &mut rng);
+            regions.iter_mut().for_each(|region| region.radius = radius);
+            let [kept, seen] = check_sets(scene.clone(), &regions, 1000, 30, 64, &mut rng);
+            println!("{corners:?}, {radius} m: {kept:.1} primitives kept, {seen:.1} seen");
+        }
+    }
+}
+
+/// Avatars kept against those that some eye was found to see.
+#[test]
+#[ignore = "a measurement"]
+fn how_many_avatars_are_kept_for_nothing() {
+    let mut rng = Pcg64::seed_from_u64(9);
+    for corners in [Corners::Abut, Corners::Overlap] {
+        let scene = rooms(8, corners, Sides::Both, 0.0, &mut rng);
+        let (rays, all_round) = (Rays::new(&scene), AllRound::new(&scene));
+        let mut scratch = all_round.scratch(128);
+        let (mut kept, mut seen) = ([0; RADII.len()], [0; RADII.len()]);
+        for _ in 0..60 {
+            let centre = random_eye(8, 0.0, &mut rng);
+            let avatars: Vec<Aabb> = (0..60)
+                .map(|i| {
+                    let at = random_eye(8, 0.0, &mut rng);
+                    let at = if i % 2 == 0 { centre + (at - centre) * 0.25 } else { at };
+                    Aabb::around(at.with_y(0.9), DVec3::new(0.3, 0.88, 0.3))
+                })
+                .collect();
+            for (i, radius) in RADII.into_iter().enumerate() {
+                let region = EyeRegion { centre, radius };
+                let occlusion = all_round.cull(region, &mut scratch).unwrap();
+                for aabb in &avatars {
+                    kept[i] += u32::from(!occlusion.hides(&Bound::Box(*aabb)));
+                    seen[i] += u32::from(witness(&scene, &rays, region, aabb, 1500, &mut rng).is_some());
+                }
+            }
+        }
+        println!("{corners:?}: of 3600 {kept:?} kept, {seen:?} seen at {RADII:?} m");
+    }
+}
