@@ -13,7 +13,7 @@ use fearless_simd::{f32x8, f64x8};
 
 use super::Coverage;
 use super::lanes::{Plane, ROUNDING};
-use super::lanes::{TILE_X, TILE_Y, columns, narrow, nearest, ramp_f64};
+use super::lanes::{TILE_X, TILE_Y, columns, narrow, nearest, ramp_f64, splat};
 use super::tiles::{RowPlane, Tiles};
 use crate::Sides;
 use crate::raster_sampled::setup::{Corner, DEPTH_SLACK, SNAP_PX};
@@ -87,6 +87,18 @@ impl Edge {
     }
 }
 
+/// The first pixel of the image whose centre is at or after a place in 1/256 px.
+#[inline(always)]
+fn first_centre(least: i64) -> i32 {
+    ((least + 255) >> 8).max(0) as i32
+}
+
+/// The last one of so many whose centre is at or before it.
+#[inline(always)]
+fn last_centre(greatest: i64, size: i32) -> i32 {
+    (greatest >> 8).min(i64::from(size) - 1) as i32
+}
+
 /// Draws the loop; returns whether it may cover a pixel.
 #[inline(always)]
 pub(super) fn draw_loop<S: Simd>(
@@ -120,10 +132,8 @@ pub(super) fn draw_loop<S: Simd>(
         Coverage::Sampled => 0,
         Coverage::Under => 128 + SNAP_INSET,
     };
-    let first = |least: i64| ((least + inset + 255) >> 8).max(0) as i32;
-    let last = |greatest: i64, size: i32| ((greatest - inset) >> 8).min(i64::from(size) - 1) as i32;
-    let x = [first(bounds[0]), last(bounds[1], tiles.width)];
-    let mut y = [first(bounds[2]), last(bounds[3], tiles.height)];
+    let x = [first_centre(bounds[0] + inset), last_centre(bounds[1] - inset, tiles.width)];
+    let mut y = [first_centre(bounds[2] + inset), last_centre(bounds[3] - inset, tiles.height)];
     if x[0] > x[1] || y[0] > y[1] {
         return false;
     }
@@ -142,10 +152,10 @@ pub(super) fn draw_loop<S: Simd>(
         // The top-left rule: centres on left edges and on upper horizontal ones are covered, on others not.
         if dy == 0 {
             if dx > 0 {
-                y[0] = y[0].max(first(a.y));
+                y[0] = y[0].max(first_centre(a.y + inset));
             } else if dx < 0 {
                 let outside = i64::from(coverage == Coverage::Sampled);
-                y[1] = y[1].min(last(a.y - outside, tiles.height));
+                y[1] = y[1].min(last_centre(a.y - outside - inset, tiles.height));
             }
             continue;
         }
@@ -171,7 +181,9 @@ pub(super) fn draw_loop<S: Simd>(
     // `y[0]` may have grown; the edges start where it was.
     let mut first_tile_y = (tile_row >> 8) as usize / TILE_Y;
     while first_tile_y < y[0] as usize / TILE_Y {
-        edges.iter_mut().for_each(Edge::next_tile_row);
+        for edge in &mut edges {
+            edge.next_tile_row();
+        }
         first_tile_y += 1;
     }
     for tile_y in first_tile_y..=y[1] as usize / TILE_Y {
@@ -200,52 +212,48 @@ fn fill_row<S: Simd>(
     mut to: f32x8<S>,
     depth: &LoopDepth,
 ) {
-    let splat = |v: f32| f32x8::splat(simd, v);
     let top = (tile_y * TILE_Y) as i32;
     let rows = super::lanes::ramp(simd) + top as f32;
     if y[0] > top || y[1] < top + TILE_Y as i32 - 1 {
-        let outside = rows.simd_lt(splat(y[0] as f32)) | rows.simd_gt(splat(y[1] as f32));
-        to = outside.select(splat(-1.0), to);
+        let outside = rows.simd_lt(splat(simd, y[0] as f32)) | rows.simd_gt(splat(simd, y[1] as f32));
+        to = outside.select(splat(simd, -1.0), to);
     }
     let some = from.simd_le(to);
     if !some.any_true() {
         return;
     }
-    let least = simd.reduce_min_f32x8(some.select(from, splat(f32::MAX)));
-    let greatest = simd.reduce_max_f32x8(some.select(to, splat(-1.0)));
+    let least = simd.reduce_min_f32x8(some.select(from, splat(simd, f32::MAX)));
+    let greatest = simd.reduce_max_f32x8(some.select(to, splat(simd, -1.0)));
     let (first, last) = (least as usize / TILE_X, greatest as usize / TILE_X);
     // Pixels beyond the image's right and lower edges count as covered with those before them.
-    let image_last = splat((tiles.width - 1) as f32);
-    to = (to.simd_ge(image_last) & some).select(splat((tiles.tiles_x * TILE_X - 1) as f32), to);
+    let image_last = splat(simd, (tiles.width - 1) as f32);
+    to = (to.simd_ge(image_last) & some).select(splat(simd, (tiles.tiles_x * TILE_X - 1) as f32), to);
     if y[1] == tiles.height - 1 && y[1] < top + TILE_Y as i32 - 1 {
-        let beyond = rows.simd_gt(splat(y[1] as f32));
-        from = beyond.select(splat((first * TILE_X) as f32), from);
-        to = beyond.select(splat((last * TILE_X + TILE_X - 1) as f32), to);
+        let beyond = rows.simd_gt(splat(simd, y[1] as f32));
+        from = beyond.select(splat(simd, (first * TILE_X) as f32), from);
+        to = beyond.select(splat(simd, (last * TILE_X + TILE_X - 1) as f32), to);
     }
     let inner_from = simd.reduce_max_f32x8(from);
     let inner_to = simd.reduce_min_f32x8(to);
     let row = depth.in_row(first, tile_y);
-    let mut part = |tile_x: usize| {
+    let (mut whole_first, mut whole_end) = (usize::MAX, usize::MAX);
+    if inner_to - inner_from >= LAST_INNER {
+        let (from, end) = ((inner_from as usize).div_ceil(TILE_X), (inner_to as usize + 1) / TILE_X);
+        if from < end {
+            (whole_first, whole_end) = (from, end);
+            tiles.close_whole(simd, tile_y, from, end - 1, &row);
+        }
+    }
+    let mut tile_x = first;
+    while tile_x <= last {
+        if tile_x == whole_first {
+            tile_x = whole_end;
+            continue;
+        }
         let column = (tile_x * TILE_X) as f32;
         let mask = columns(simd, from - column, to - column);
         tiles.close_part(simd, tile_x, tile_y, mask, &row);
-    };
-    if inner_to - inner_from >= LAST_INNER {
-        let whole_first = (inner_from as usize).div_ceil(TILE_X);
-        let whole_end = (inner_to as usize + 1) / TILE_X;
-        if whole_first < whole_end {
-            for tile_x in first..whole_first {
-                part(tile_x);
-            }
-            for tile_x in whole_end..=last {
-                part(tile_x);
-            }
-            tiles.close_whole(simd, tile_y, whole_first, whole_end - 1, &row);
-            return;
-        }
-    }
-    for tile_x in first..=last {
-        part(tile_x);
+        tile_x += 1;
     }
 }
 

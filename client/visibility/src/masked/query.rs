@@ -6,11 +6,11 @@
 //!
 //! An edge of the silhouette is any line that the whole thing lies on one side of. Leaving edges or planes out is right too.
 
+use fearless_simd::f64x8;
 use fearless_simd::prelude::*;
-use fearless_simd::{f32x8, f64x8};
 use glam::DVec3;
 
-use super::lanes::{Plane, TILE_X, TILE_Y, columns_outward, ramp};
+use super::lanes::{Plane, TILE_X, TILE_Y, columns_outward, ramp, splat};
 use super::{Coverage, LOOP_MAX, MaskedDepth};
 use crate::Aabb;
 use crate::raster_sampled::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
@@ -106,16 +106,16 @@ impl Detail {
     }
 }
 
-/// The 12 edges of a box as pairs of corners (x is bit 0), with the two faces that meet there: axis, and whether at its maximum.
-const BOX_EDGES: [([usize; 2], [(usize, bool); 2]); 12] = {
-    let mut edges = [([0; 2], [(0, false); 2]); 12];
+/// The 12 edges of a box as pairs of corners (x is bit 0), with the two faces that meet there: axis, and 3 more at its maximum.
+const BOX_EDGES: [([usize; 2], [usize; 2]); 12] = {
+    let mut edges = [([0; 2], [0; 2]); 12];
     let mut i = 0;
     while i < 12 {
         let axis = i / 4;
         let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
         let (at_b, at_c) = (i % 2, i / 2 % 2);
         let corner = at_b << b | at_c << c;
-        edges[i] = ([corner, corner | 1 << axis], [(b, at_b == 1), (c, at_c == 1)]);
+        edges[i] = ([corner, corner | 1 << axis], [b + 3 * at_b, c + 3 * at_c]);
         i += 1;
     }
     edges
@@ -130,16 +130,11 @@ impl Asked {
             return Asked::Touching;
         }
         let size = max - min;
-        let lane = |bit: usize| {
-            let high: [f64; 8] = std::array::from_fn(|i| (i >> bit & 1) as f64);
-            f64x8::from_slice(simd, &high)
-        };
-        let (in_x, in_y, in_z) = (lane(0), lane(1), lane(2));
-        let along = |axis: DVec3| {
-            let base = min.x * axis.x + min.y * axis.y + min.z * axis.z;
-            in_x * (size.x * axis.x) + in_y * (size.y * axis.y) + (in_z * (size.z * axis.z) + base)
-        };
-        let (x, y, w) = (along(projector.axes[0]), along(projector.axes[1]), along(projector.axes[2]));
+        let (x, y, w) = (
+            along(simd, projector.axes[0], min, size),
+            along(simd, projector.axes[1], min, size),
+            along(simd, projector.axes[2], min, size),
+        );
         let longest = min.abs().max(max.abs());
         let slack = 3.0 * (longest.x + longest.y + longest.z) * ROUNDING;
         if simd.reduce_max_f64x8(w) < -slack {
@@ -155,7 +150,6 @@ impl Asked {
         let columns = x * per_metre + (projector.middle[0] - 0.5);
         let rows = (projector.middle[1] - 0.5) - y * per_metre;
         let reach = image.reach() + slack / nearest * projector.focal_px;
-        let range = |v: f64x8<S>| [simd.reduce_min_f64x8(v) - reach, simd.reduce_max_f64x8(v) + reach];
         let outline = Outline::Box {
             min: min.to_array(),
             max: max.to_array(),
@@ -163,7 +157,7 @@ impl Asked {
             rows: rows.into(),
             reach,
         };
-        Asked::within(projector, range(columns), range(rows), nearest, outline)
+        Asked::within(projector, range(simd, columns, reach), range(simd, rows, reach), nearest, outline)
     }
 
     #[inline(always)]
@@ -244,12 +238,6 @@ impl Asked {
     /// The pixels between these columns and rows, cut to the image.
     #[inline(always)]
     fn within(projector: &Projector, x: [f64; 2], y: [f64; 2], nearest: f64, outline: Outline) -> Asked {
-        let centres = |[low, high]: [f64; 2], size: i32| {
-            let size = f64::from(size);
-            let (low, high) = (low.clamp(0.0, size), high.clamp(-1.0, size - 1.0));
-            let [from, to] = [low as i32, high as i32];
-            [from + i32::from(f64::from(from) < low), to - i32::from(f64::from(to) > high)]
-        };
         let (x, y) = (centres(x, projector.width), centres(y, projector.height));
         if x[0] > x[1] || y[0] > y[1] {
             return Asked::Outside;
@@ -257,6 +245,31 @@ impl Asked {
         let z = projector.near / nearest * (1.0 + 2.0 * DEPTH_SLACK);
         Asked::In(Silhouette { x, y, z: z as f32, outline })
     }
+}
+
+/// The eight corners of a box along an axis, x fastest.
+#[inline(always)]
+fn along<S: Simd>(simd: S, axis: DVec3, min: DVec3, size: DVec3) -> f64x8<S> {
+    let in_x = f64x8::from_slice(simd, &[0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0]);
+    let in_y = f64x8::from_slice(simd, &[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
+    let in_z = f64x8::from_slice(simd, &[0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]);
+    let base = min.x * axis.x + min.y * axis.y + min.z * axis.z;
+    in_x * (size.x * axis.x) + in_y * (size.y * axis.y) + (in_z * (size.z * axis.z) + base)
+}
+
+/// Least and greatest, moved outward.
+#[inline(always)]
+fn range<S: Simd>(simd: S, v: f64x8<S>, reach: f64) -> [f64; 2] {
+    [simd.reduce_min_f64x8(v) - reach, simd.reduce_max_f64x8(v) + reach]
+}
+
+/// The first and last of `size` pixels whose centres lie between `low` and `high`; descending if there is none.
+#[inline(always)]
+fn centres([low, high]: [f64; 2], size: i32) -> [i32; 2] {
+    let size = f64::from(size);
+    let (low, high) = (low.max(0.0).min(size), high.max(-1.0).min(size - 1.0));
+    let [from, to] = [low as i32, high as i32];
+    [from + i32::from(f64::from(from) < low), to - i32::from(f64::from(to) > high)]
 }
 
 /// Tangents of the lines x = m · z that touch a circle that lies wholly in front: (x − m·z)² = r²(1 + m²). Rounded outward.
@@ -276,9 +289,13 @@ impl Outline {
         match self {
             Outline::Box { min, max, columns, rows, reach } => {
                 let inside = [columns.iter().sum::<f64>() * 0.125, rows.iter().sum::<f64>() * 0.125];
-                let faces = |(axis, high): (usize, bool)| if high { max[axis] < 0.0 } else { min[axis] > 0.0 };
+                // Bits of the faces that look at the eye: at the minimum, then at the maximum of each axis.
+                let mut facing = 0_u32;
+                for axis in 0..3 {
+                    facing |= u32::from(min[axis] > 0.0) << axis | u32::from(max[axis] < 0.0) << (axis + 3);
+                }
                 for ([a, b], [face, other]) in BOX_EDGES {
-                    if faces(face) != faces(other) {
+                    if (facing >> face ^ facing >> other) & 1 == 1 {
                         detail.add_edge([columns[a], rows[a]], [columns[b], rows[b]], inside, *reach);
                     }
                 }
@@ -396,7 +413,6 @@ impl MaskedDepth {
     fn sees_in_detail<S: Simd>(&self, simd: S, asked: &Silhouette, tiles_x: [usize; 2], tiles_y: [usize; 2]) -> bool {
         let Some(projector) = &self.projector else { return true };
         let detail = asked.outline.detail(projector);
-        let splat = |v: f32| f32x8::splat(simd, v);
         let mut read = 0;
         let mut seen = false;
         'rows: for tile_y in tiles_y[0]..=tiles_y[1] {
@@ -405,7 +421,7 @@ impl MaskedDepth {
             }
             let top = (tile_y * TILE_Y) as f64;
             let rows = ramp(simd);
-            let (mut from, mut to) = (splat(asked.x[0] as f32), splat(asked.x[1] as f32));
+            let (mut from, mut to) = (splat(simd, asked.x[0] as f32), splat(simd, asked.x[1] as f32));
             for [origin, turn] in &detail.left[..detail.left_count] {
                 from = simd.max_f32x8(from, rows * (*turn as f32) + (origin + turn * top).clamp(-1e5, 1e5) as f32);
             }
@@ -413,12 +429,12 @@ impl MaskedDepth {
                 to = simd.min_f32x8(to, rows * (*turn as f32) + (origin + turn * top).clamp(-1e5, 1e5) as f32);
             }
             let (first, last) = (asked.y[0] as f32 - top as f32, asked.y[1] as f32 - top as f32);
-            let inside = rows.simd_ge(splat(first)) & rows.simd_le(splat(last)) & from.simd_le(to + 1.0);
+            let inside = rows.simd_ge(splat(simd, first)) & rows.simd_le(splat(simd, last)) & from.simd_le(to + 1.0);
             if !inside.any_true() {
                 continue;
             }
-            to = inside.select(to, splat(-2.0));
-            let least = simd.reduce_min_f32x8(inside.select(from, splat(f32::MAX)));
+            to = inside.select(to, splat(simd, -2.0));
+            let least = simd.reduce_min_f32x8(inside.select(from, splat(simd, f32::MAX)));
             let greatest = simd.reduce_max_f32x8(to);
             let first = (least as usize / TILE_X).max(tiles_x[0]);
             let last = (greatest.max(0.0) as usize / TILE_X).min(tiles_x[1]);
