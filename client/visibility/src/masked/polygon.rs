@@ -36,7 +36,13 @@ struct Edge {
     /// Steps to the next row and to the next tile row.
     row: [f64; 2],
     tile: [f64; 2],
+    /// What takes it out of the bounds on the left, or of those on the right: [`NEVER`] or 0.
+    not_left: f64,
+    not_right: f64,
 }
+
+/// Farther than any column.
+const NEVER: f64 = 1e18;
 
 /// ⌊n/k⌋ and the remainder, exact for |n| < 2⁶² and 0 < k < 2⁵².
 #[inline(always)]
@@ -47,7 +53,9 @@ fn divide(n: i64, k: i64, inverse_k: f64) -> [f64; 2] {
         let (n, k) = (n as f64, k as f64);
         let quotient = (n * inverse_k + ROUND) - ROUND;
         let remainder = n - quotient * k;
-        if remainder < 0.0 { [quotient - 1.0, remainder + k] } else { [quotient, remainder] }
+        // By arithmetic: a branch would be guessed wrong half of the time, here and below.
+        let less = f64::from(u8::from(remainder < 0.0));
+        [quotient - less, remainder + less * k]
     } else {
         [n.div_euclid(k) as f64, n.rem_euclid(k) as f64]
     }
@@ -62,7 +70,16 @@ impl Edge {
         let [quotient, remainder] = divide(n, height << 8, inverse_k);
         let [row, row_rest] = divide(dx, height, inverse);
         let [tile, tile_rest] = divide(dx * TILE_Y as i64, height, inverse);
-        Edge { quotient, remainder, k, inverse_k, row: [row, row_rest * 256.0], tile: [tile, tile_rest * 256.0] }
+        Edge {
+            quotient,
+            remainder,
+            k,
+            inverse_k,
+            row: [row, row_rest * 256.0],
+            tile: [tile, tile_rest * 256.0],
+            not_left: 0.0,
+            not_right: 0.0,
+        }
     }
 
     /// ⌊n/k⌋ in each row of the tile row.
@@ -80,10 +97,9 @@ impl Edge {
     fn next_tile_row(&mut self) {
         self.quotient += self.tile[0];
         self.remainder += self.tile[1];
-        if self.remainder >= self.k {
-            self.remainder -= self.k;
-            self.quotient += 1.0;
-        }
+        let carry = f64::from(u8::from(self.remainder >= self.k));
+        self.remainder -= carry * self.k;
+        self.quotient += carry;
     }
 }
 
@@ -99,8 +115,13 @@ fn last_centre(greatest: i64, size: i32) -> i32 {
     (greatest >> 8).min(i64::from(size) - 1) as i32
 }
 
-/// Draws the loop; returns whether it may cover a pixel.
+/// A whole number from 0 to 2²² as an integer. Conversions by `as` also look after those outside.
 #[inline(always)]
+fn whole(v: f32) -> usize {
+    ((v + 8_388_608.0).to_bits() & 0x7f_ffff) as usize
+}
+
+/// Draws the loop; returns whether it may cover a pixel.
 pub(super) fn draw_loop<S: Simd>(
     simd: S,
     tiles: &mut Tiles,
@@ -108,6 +129,15 @@ pub(super) fn draw_loop<S: Simd>(
     sides: Sides,
     coverage: Coverage,
 ) -> bool {
+    // One copy of this for each level, whoever calls.
+    simd.vectorize(
+        #[inline(always)]
+        || draw_inlined(simd, tiles, corners, sides, coverage),
+    )
+}
+
+#[inline(always)]
+fn draw_inlined<S: Simd>(simd: S, tiles: &mut Tiles, corners: &[Corner], sides: Sides, coverage: Coverage) -> bool {
     let count = corners.len();
     let origin = corners[0];
     // Twice the area, and the normal of the loop in columns, rows and depth.
@@ -138,9 +168,8 @@ pub(super) fn draw_loop<S: Simd>(
         return false;
     }
 
-    // Left edges from the front on, right ones from the back on.
     let mut edges = [Edge::default(); CORNERS_MAX];
-    let (mut left, mut right) = (0, CORNERS_MAX);
+    let mut edge_count = 0;
     let tile_row = i64::from(y[0] & !(TILE_Y as i32 - 1)) << 8;
     let mut from = corners[count - 1];
     for &corner in corners {
@@ -164,15 +193,12 @@ pub(super) fn draw_loop<S: Simd>(
             Coverage::Under => (dx.abs() + dy.abs()) * inset,
         };
         let n = dx * (tile_row - a.y) + dy * a.x - strict;
-        let edge = Edge::new(n, dx, dy.abs());
-        if dy < 0 {
-            edges[left] = edge;
-            left += 1;
-        } else {
-            right -= 1;
-            edges[right] = edge;
-        }
+        let right = f64::from(u8::from(dy > 0));
+        let bounds = Edge { not_left: right * NEVER, not_right: (1.0 - right) * NEVER, ..Edge::new(n, dx, dy.abs()) };
+        edges[edge_count] = bounds;
+        edge_count += 1;
     }
+    let edges = &mut edges[..edge_count];
     if y[0] > y[1] {
         return false;
     }
@@ -181,19 +207,17 @@ pub(super) fn draw_loop<S: Simd>(
     // `y[0]` may have grown; the edges start where it was.
     let mut first_tile_y = (tile_row >> 8) as usize / TILE_Y;
     while first_tile_y < y[0] as usize / TILE_Y {
-        for edge in &mut edges {
+        for edge in &mut *edges {
             edge.next_tile_row();
         }
         first_tile_y += 1;
     }
     for tile_y in first_tile_y..=y[1] as usize / TILE_Y {
         let (mut from, mut to) = (f64x8::splat(simd, f64::from(x[0])), f64x8::splat(simd, f64::from(x[1])));
-        for edge in &mut edges[..left] {
-            from = simd.max_f64x8(from, -edge.quotients(simd));
-            edge.next_tile_row();
-        }
-        for edge in &mut edges[right..] {
-            to = simd.min_f64x8(to, edge.quotients(simd));
+        for edge in &mut *edges {
+            let bound = edge.quotients(simd);
+            from = simd.max_f64x8(from, -(bound + edge.not_left));
+            to = simd.min_f64x8(to, bound + edge.not_right);
             edge.next_tile_row();
         }
         fill_row(simd, tiles, tile_y, y, narrow(simd, from), narrow(simd, to), &depth);
@@ -224,7 +248,7 @@ fn fill_row<S: Simd>(
     }
     let least = simd.reduce_min_f32x8(some.select(from, splat(simd, f32::MAX)));
     let greatest = simd.reduce_max_f32x8(some.select(to, splat(simd, -1.0)));
-    let (first, last) = (least as usize / TILE_X, greatest as usize / TILE_X);
+    let (first, last) = (whole(least) / TILE_X, whole(greatest) / TILE_X);
     // Pixels beyond the image's right and lower edges count as covered with those before them.
     let image_last = splat(simd, (tiles.width - 1) as f32);
     to = (to.simd_ge(image_last) & some).select(splat(simd, (tiles.tiles_x * TILE_X - 1) as f32), to);
@@ -238,7 +262,7 @@ fn fill_row<S: Simd>(
     let row = depth.in_row(first, tile_y);
     let (mut whole_first, mut whole_end) = (usize::MAX, usize::MAX);
     if inner_to - inner_from >= LAST_INNER {
-        let (from, end) = ((inner_from as usize).div_ceil(TILE_X), (inner_to as usize + 1) / TILE_X);
+        let (from, end) = (whole(inner_from).div_ceil(TILE_X), (whole(inner_to) + 1) / TILE_X);
         if from < end {
             (whole_first, whole_end) = (from, end);
             tiles.close_whole(simd, tile_y, from, end - 1, &row);

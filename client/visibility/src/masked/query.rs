@@ -39,12 +39,17 @@ pub(super) enum Asked {
 
 /// What a thing covers at most, and how near it is at most.
 pub(super) struct Silhouette {
+    place: Place,
+    outline: Outline,
+}
+
+#[derive(Clone, Copy)]
+struct Place {
     /// First and last column and row whose pixels it may touch.
     x: [i32; 2],
     y: [i32; 2],
     /// Its nearest depth, rounded up.
     z: f32,
-    outline: Outline,
 }
 
 /// The rest of it, computed only if it is needed.
@@ -123,7 +128,13 @@ const BOX_EDGES: [([usize; 2], [usize; 2]); 12] = {
 
 impl Asked {
     #[inline(always)]
-    pub(super) fn of_box<S: Simd>(simd: S, image: &MaskedDepth, projector: &Projector, aabb: &Aabb) -> Asked {
+    pub(super) fn of_box<S: Simd>(
+        simd: S,
+        image: &MaskedDepth,
+        projector: &Projector,
+        aabb: &Aabb,
+        ask: bool,
+    ) -> Asked {
         let min = aabb.min - projector.eye();
         let max = aabb.max - projector.eye();
         if !(min.cmple(max).all() && (min + max).is_finite()) {
@@ -150,18 +161,21 @@ impl Asked {
         let columns = x * per_metre + (projector.middle[0] - 0.5);
         let rows = (projector.middle[1] - 0.5) - y * per_metre;
         let reach = image.reach() + slack / nearest * projector.focal_px;
-        let outline = Outline::Box {
-            min: min.to_array(),
-            max: max.to_array(),
-            columns: columns.into(),
-            rows: rows.into(),
-            reach,
-        };
-        Asked::within(projector, range(simd, columns, reach), range(simd, rows, reach), nearest, outline)
+        let ranges = [range(simd, columns, reach), range(simd, rows, reach)];
+        let Some(place) = place(simd, image, projector, ranges, nearest, ask) else { return Asked::Outside };
+        let (min, max) = (min.to_array(), max.to_array());
+        let outline = Outline::Box { min, max, columns: columns.into(), rows: rows.into(), reach };
+        Asked::In(Silhouette { place, outline })
     }
 
     #[inline(always)]
-    pub(super) fn of_ball(image: &MaskedDepth, projector: &Projector, centre: DVec3, radius: f64) -> Asked {
+    pub(super) fn of_ball<S: Simd>(
+        simd: S,
+        image: &MaskedDepth,
+        projector: &Projector,
+        centre: DVec3,
+        radius: f64,
+    ) -> Asked {
         let p = projector.view_point(centre);
         let size = p.x.abs() + p.y.abs() + p.w.abs() + radius;
         if !(size.is_finite() && radius >= 0.0) {
@@ -189,11 +203,12 @@ impl Asked {
             [middle - 0.5 + low * projector.focal_px - reach, middle - 0.5 + high * projector.focal_px + reach]
         };
         let (x, y) = (pixels(x, projector.middle[0]), pixels(y, projector.middle[1]));
-        Asked::within(projector, x, y, nearest, Outline::Ball { centre: p, radius, reach })
+        let Some(place) = place(simd, image, projector, [x, y], nearest, true) else { return Asked::Outside };
+        Asked::In(Silhouette { place, outline: Outline::Ball { centre: p, radius, reach } })
     }
 
     #[inline(always)]
-    pub(super) fn of_hull(image: &MaskedDepth, projector: &Projector, corners: &[DVec3]) -> Asked {
+    pub(super) fn of_hull<S: Simd>(simd: S, image: &MaskedDepth, projector: &Projector, corners: &[DVec3]) -> Asked {
         let count = corners.len();
         if !(1..=LOOP_MAX).contains(&count) {
             return Asked::Touching;
@@ -232,19 +247,32 @@ impl Asked {
         }
         let reach = image.reach() + slack / nearest * projector.focal_px;
         let [x, y] = [x, y].map(|[low, high]| [low - reach, high + reach]);
-        Asked::within(projector, x, y, nearest, Outline::Hull { count, columns, rows, depths, reach })
+        let Some(place) = place(simd, image, projector, [x, y], nearest, true) else { return Asked::Outside };
+        Asked::In(Silhouette { place, outline: Outline::Hull { count, columns, rows, depths, reach } })
     }
+}
 
-    /// The pixels between these columns and rows, cut to the image.
-    #[inline(always)]
-    fn within(projector: &Projector, x: [f64; 2], y: [f64; 2], nearest: f64, outline: Outline) -> Asked {
-        let (x, y) = (centres(x, projector.width), centres(y, projector.height));
-        if x[0] > x[1] || y[0] > y[1] {
-            return Asked::Outside;
-        }
-        let z = projector.near / nearest * (1.0 + 2.0 * DEPTH_SLACK);
-        Asked::In(Silhouette { x, y, z: z as f32, outline })
+/// The rectangle of a thing and its nearest depth. `None` if no pixel sees it or, where it is to `ask`, all tiles hide it.
+#[inline(always)]
+fn place<S: Simd>(
+    simd: S,
+    image: &MaskedDepth,
+    projector: &Projector,
+    [x, y]: [[f64; 2]; 2],
+    nearest: f64,
+    ask: bool,
+) -> Option<Place> {
+    let (x, y) = (centres(x, projector.width), centres(y, projector.height));
+    if x[0] > x[1] || y[0] > y[1] {
+        return None;
     }
+    let z = (projector.near / nearest * (1.0 + 2.0 * DEPTH_SLACK)) as f32;
+    let (tiles_x, tiles_y) =
+        ([x[0] as usize / TILE_X, x[1] as usize / TILE_X], [y[0] as usize / TILE_Y, y[1] as usize / TILE_Y]);
+    if ask && image.tiles.nearer_in(simd, tiles_x, tiles_y, z) {
+        return None;
+    }
+    Some(Place { x, y, z })
 }
 
 /// The eight corners of a box along an axis, x fastest.
@@ -308,17 +336,18 @@ impl Outline {
                     } else {
                         continue;
                     };
-                    let [right, up, forward] = projector.axes.map(|view| view[axis]);
+                    let [right, up, forward] =
+                        [projector.axes[0][axis], projector.axes[1][axis], projector.axes[2][axis]];
                     let scale = projector.near / distance;
                     let (x, y) = (right / projector.focal_px * scale, -up / projector.focal_px * scale);
-                    let [column, row] = projector.middle.map(|middle| middle - 0.5);
+                    let [column, row] = [projector.middle[0] - 0.5, projector.middle[1] - 0.5];
                     detail.add_plane(Linear { x, y, origin: forward * scale - x * column - y * row }, *reach);
                 }
             }
             Outline::Ball { centre, radius, reach } => {
                 // With the upright rectangle an octagon: tangents along the diagonals.
                 let half = std::f64::consts::FRAC_1_SQRT_2;
-                let [column, row] = projector.middle.map(|middle| middle - 0.5);
+                let [column, row] = [projector.middle[0] - 0.5, projector.middle[1] - 0.5];
                 let inside =
                     [column + centre.x / centre.w * projector.focal_px, row - centre.y / centre.w * projector.focal_px];
                 for down in [1.0, -1.0] {
@@ -399,20 +428,21 @@ impl MaskedDepth {
             Asked::Outside => false,
             Asked::Touching => true,
             Asked::In(silhouette) => {
-                let tiles_x = silhouette.x.map(|x| x as usize / TILE_X);
-                let tiles_y = silhouette.y.map(|y| y as usize / TILE_Y);
-                if self.tiles.nearer_in(simd, tiles_x, tiles_y, silhouette.z) {
-                    return false;
-                }
-                self.sees_in_detail(simd, &silhouette, tiles_x, tiles_y)
+                // One copy of this for each level, whoever asks.
+                simd.vectorize(
+                    #[inline(always)]
+                    || self.sees_in_detail(simd, &silhouette.place, &silhouette.outline),
+                )
             }
         }
     }
 
     #[inline(always)]
-    fn sees_in_detail<S: Simd>(&self, simd: S, asked: &Silhouette, tiles_x: [usize; 2], tiles_y: [usize; 2]) -> bool {
+    fn sees_in_detail<S: Simd>(&self, simd: S, asked: &Place, outline: &Outline) -> bool {
         let Some(projector) = &self.projector else { return true };
-        let detail = asked.outline.detail(projector);
+        let detail = outline.detail(projector);
+        let tiles_x = [asked.x[0] as usize / TILE_X, asked.x[1] as usize / TILE_X];
+        let tiles_y = [asked.y[0] as usize / TILE_Y, asked.y[1] as usize / TILE_Y];
         let mut read = 0;
         let mut seen = false;
         'rows: for tile_y in tiles_y[0]..=tiles_y[1] {
