@@ -34,7 +34,7 @@ pub enum Coverage {
     /// If it covers the pixel's centre, as an [`crate::ItemBuffer`] of the same view draws it. What is hidden wins no pixel there.
     Sampled,
     /// If it covers the pixel's whole square. What is hidden wins no pixel of any image of the same view that is a whole
-    /// number of times finer, this one excepted. Polygons that meet leave an open line of pixels.
+    /// number of times finer. Polygons that meet leave an open line of pixels.
     Under,
 }
 

@@ -168,6 +168,14 @@ fn draw_inlined<S: Simd>(simd: S, tiles: &mut Tiles, corners: &[Corner], sides: 
         return false;
     }
 
+    // What lies behind whole tiles is left out before it costs anything: all of it here, a row of tiles below.
+    let nearest = depths[1] as f32 * (1.0 + DEPTH_SLACK as f32);
+    let tiles_x = [x[0] as usize / TILE_X, x[1] as usize / TILE_X];
+    let tiles_y = [y[0] as usize / TILE_Y, y[1] as usize / TILE_Y];
+    if tiles.nearer_in(simd, tiles_x, tiles_y, nearest) {
+        return true;
+    }
+
     let mut edges = [Edge::default(); CORNERS_MAX];
     let mut edge_count = 0;
     let tile_row = i64::from(y[0] & !(TILE_Y as i32 - 1)) << 8;
@@ -213,6 +221,12 @@ fn draw_inlined<S: Simd>(simd: S, tiles: &mut Tiles, corners: &[Corner], sides: 
         first_tile_y += 1;
     }
     for tile_y in first_tile_y..=y[1] as usize / TILE_Y {
+        if tiles.nearer_in(simd, tiles_x, [tile_y, tile_y], nearest) {
+            for edge in &mut *edges {
+                edge.next_tile_row();
+            }
+            continue;
+        }
         let (mut from, mut to) = (f64x8::splat(simd, f64::from(x[0])), f64x8::splat(simd, f64::from(x[1])));
         for edge in &mut *edges {
             let bound = edge.quotients(simd);
