@@ -175,6 +175,10 @@ fn summary() {
             }),
         ));
     }
+    // A name on the command line chooses, as it does below.
+    if let Some(wanted) = std::env::args().skip(1).find(|arg| !arg.starts_with('-')) {
+        runs.retain(|(name, ..)| name.contains(&wanted));
+    }
     in_turns(&mut runs);
 }
 

@@ -34,7 +34,7 @@ pub enum Coverage {
     /// If it covers the pixel's centre, as an [`crate::ItemBuffer`] of the same view draws it. What is hidden wins no pixel there.
     Sampled,
     /// If it covers the pixel's whole square. What is hidden wins no pixel of any image of the same view that is a whole
-    /// number of times finer, this one excepted. Polygons that meet leave an open line of pixels.
+    /// number of times finer. Polygons that meet leave an open line of pixels.
     Under,
 }
 
@@ -123,21 +123,21 @@ impl MaskedDepth {
     pub fn sees_box(&self, aabb: &Aabb) -> bool {
         let Some(projector) = &self.projector else { return false };
         let level = self.level;
-        dispatch!(level, simd => self.answer(simd, Asked::of_box(simd, self, projector, aabb)))
+        dispatch!(level, simd => self.answer(simd, Asked::of_box(simd, self, projector, aabb, true)))
     }
 
     /// The same for a ball.
     pub fn sees_ball(&self, centre: DVec3, radius: f64) -> bool {
         let Some(projector) = &self.projector else { return false };
         let level = self.level;
-        dispatch!(level, simd => self.answer(simd, Asked::of_ball(self, projector, centre, radius)))
+        dispatch!(level, simd => self.answer(simd, Asked::of_ball(simd, self, projector, centre, radius)))
     }
 
     /// The same for the convex hull of 1 to 8 points: a face between two cells, say.
     pub fn sees_polygon(&self, corners: &[DVec3]) -> bool {
         let Some(projector) = &self.projector else { return false };
         let level = self.level;
-        dispatch!(level, simd => self.answer(simd, Asked::of_hull(self, projector, corners)))
+        dispatch!(level, simd => self.answer(simd, Asked::of_hull(simd, self, projector, corners)))
     }
 
     /// The same for any bound. [`Bound::Everywhere`] is seen.
@@ -152,7 +152,7 @@ impl MaskedDepth {
     pub fn in_view(&self, aabb: &Aabb) -> bool {
         let Some(projector) = &self.projector else { return false };
         let level = self.level;
-        !matches!(dispatch!(level, simd => Asked::of_box(simd, self, projector, aabb)), Asked::Outside)
+        !matches!(dispatch!(level, simd => Asked::of_box(simd, self, projector, aabb, false)), Asked::Outside)
     }
 
     /// The farthest reversed depth (near / distance) at which whole tiles are closed: 0 if a tile has an open pixel, infinite
@@ -215,20 +215,15 @@ fn draw_clipped<S: Simd>(
     sides: Sides,
     coverage: Coverage,
 ) -> bool {
-    simd.vectorize(
-        #[inline(always)]
-        || {
-            if points.len() > 3 && is_planar(points) && near_cut_is_outside(projector, points) {
-                return draw_cut(simd, tiles, projector, &projector.clip(points), sides, coverage);
-            }
-            let mut drawn = false;
-            for i in 2..points.len() {
-                let polygon = projector.clip(&[points[0], points[i - 1], points[i]]);
-                drawn |= draw_cut(simd, tiles, projector, &polygon, sides, coverage);
-            }
-            drawn
-        },
-    )
+    if points.len() > 3 && is_planar(points) && near_cut_is_outside(projector, points) {
+        return draw_cut(simd, tiles, projector, &projector.clip(points), sides, coverage);
+    }
+    let mut drawn = false;
+    for i in 2..points.len() {
+        let polygon = projector.clip(&[points[0], points[i - 1], points[i]]);
+        drawn |= draw_cut(simd, tiles, projector, &polygon, sides, coverage);
+    }
+    drawn
 }
 
 /// Whether a loop is so flat, as seen from the eye, that a point of a diagonal has the depth of the loop's plane there.
@@ -260,7 +255,6 @@ fn near_cut_is_outside(projector: &Projector, points: &[ViewPoint]) -> bool {
     projector.outside(&on_near[..count], 0.0)
 }
 
-#[inline(always)]
 fn draw_cut<S: Simd>(
     simd: S,
     tiles: &mut Tiles,

@@ -13,7 +13,7 @@ use fearless_simd::{f32x8, f64x8};
 
 use super::Coverage;
 use super::lanes::{Plane, ROUNDING};
-use super::lanes::{TILE_X, TILE_Y, columns, narrow, nearest, ramp_f64};
+use super::lanes::{TILE_X, TILE_Y, columns, narrow, nearest, ramp_f64, splat};
 use super::tiles::{RowPlane, Tiles};
 use crate::Sides;
 use crate::raster_sampled::setup::{Corner, DEPTH_SLACK, SNAP_PX};
@@ -36,7 +36,13 @@ struct Edge {
     /// Steps to the next row and to the next tile row.
     row: [f64; 2],
     tile: [f64; 2],
+    /// What takes it out of the bounds on the left, or of those on the right: [`NEVER`] or 0.
+    not_left: f64,
+    not_right: f64,
 }
+
+/// Farther than any column.
+const NEVER: f64 = 1e18;
 
 /// ⌊n/k⌋ and the remainder, exact for |n| < 2⁶² and 0 < k < 2⁵².
 #[inline(always)]
@@ -47,7 +53,9 @@ fn divide(n: i64, k: i64, inverse_k: f64) -> [f64; 2] {
         let (n, k) = (n as f64, k as f64);
         let quotient = (n * inverse_k + ROUND) - ROUND;
         let remainder = n - quotient * k;
-        if remainder < 0.0 { [quotient - 1.0, remainder + k] } else { [quotient, remainder] }
+        // By arithmetic: a branch would be guessed wrong half of the time, here and below.
+        let less = f64::from(u8::from(remainder < 0.0));
+        [quotient - less, remainder + less * k]
     } else {
         [n.div_euclid(k) as f64, n.rem_euclid(k) as f64]
     }
@@ -62,7 +70,16 @@ impl Edge {
         let [quotient, remainder] = divide(n, height << 8, inverse_k);
         let [row, row_rest] = divide(dx, height, inverse);
         let [tile, tile_rest] = divide(dx * TILE_Y as i64, height, inverse);
-        Edge { quotient, remainder, k, inverse_k, row: [row, row_rest * 256.0], tile: [tile, tile_rest * 256.0] }
+        Edge {
+            quotient,
+            remainder,
+            k,
+            inverse_k,
+            row: [row, row_rest * 256.0],
+            tile: [tile, tile_rest * 256.0],
+            not_left: 0.0,
+            not_right: 0.0,
+        }
     }
 
     /// ⌊n/k⌋ in each row of the tile row.
@@ -80,15 +97,31 @@ impl Edge {
     fn next_tile_row(&mut self) {
         self.quotient += self.tile[0];
         self.remainder += self.tile[1];
-        if self.remainder >= self.k {
-            self.remainder -= self.k;
-            self.quotient += 1.0;
-        }
+        let carry = f64::from(u8::from(self.remainder >= self.k));
+        self.remainder -= carry * self.k;
+        self.quotient += carry;
     }
 }
 
-/// Draws the loop; returns whether it may cover a pixel.
+/// The first pixel of the image whose centre is at or after a place in 1/256 px.
 #[inline(always)]
+fn first_centre(least: i64) -> i32 {
+    ((least + 255) >> 8).max(0) as i32
+}
+
+/// The last one of so many whose centre is at or before it.
+#[inline(always)]
+fn last_centre(greatest: i64, size: i32) -> i32 {
+    (greatest >> 8).min(i64::from(size) - 1) as i32
+}
+
+/// A whole number from 0 to 2²² as an integer. Conversions by `as` also look after those outside.
+#[inline(always)]
+fn whole(v: f32) -> usize {
+    ((v + 8_388_608.0).to_bits() & 0x7f_ffff) as usize
+}
+
+/// Draws the loop; returns whether it may cover a pixel.
 pub(super) fn draw_loop<S: Simd>(
     simd: S,
     tiles: &mut Tiles,
@@ -96,6 +129,15 @@ pub(super) fn draw_loop<S: Simd>(
     sides: Sides,
     coverage: Coverage,
 ) -> bool {
+    // One copy of this for each level, whoever calls.
+    simd.vectorize(
+        #[inline(always)]
+        || draw_inlined(simd, tiles, corners, sides, coverage),
+    )
+}
+
+#[inline(always)]
+fn draw_inlined<S: Simd>(simd: S, tiles: &mut Tiles, corners: &[Corner], sides: Sides, coverage: Coverage) -> bool {
     let count = corners.len();
     let origin = corners[0];
     // Twice the area, and the normal of the loop in columns, rows and depth.
@@ -120,17 +162,22 @@ pub(super) fn draw_loop<S: Simd>(
         Coverage::Sampled => 0,
         Coverage::Under => 128 + SNAP_INSET,
     };
-    let first = |least: i64| ((least + inset + 255) >> 8).max(0) as i32;
-    let last = |greatest: i64, size: i32| ((greatest - inset) >> 8).min(i64::from(size) - 1) as i32;
-    let x = [first(bounds[0]), last(bounds[1], tiles.width)];
-    let mut y = [first(bounds[2]), last(bounds[3], tiles.height)];
+    let x = [first_centre(bounds[0] + inset), last_centre(bounds[1] - inset, tiles.width)];
+    let mut y = [first_centre(bounds[2] + inset), last_centre(bounds[3] - inset, tiles.height)];
     if x[0] > x[1] || y[0] > y[1] {
         return false;
     }
 
-    // Left edges from the front on, right ones from the back on.
+    // What lies behind whole tiles is left out before it costs anything: all of it here, a row of tiles below.
+    let nearest = depths[1] as f32 * (1.0 + DEPTH_SLACK as f32);
+    let tiles_x = [x[0] as usize / TILE_X, x[1] as usize / TILE_X];
+    let tiles_y = [y[0] as usize / TILE_Y, y[1] as usize / TILE_Y];
+    if tiles.nearer_in(simd, tiles_x, tiles_y, nearest) {
+        return true;
+    }
+
     let mut edges = [Edge::default(); CORNERS_MAX];
-    let (mut left, mut right) = (0, CORNERS_MAX);
+    let mut edge_count = 0;
     let tile_row = i64::from(y[0] & !(TILE_Y as i32 - 1)) << 8;
     let mut from = corners[count - 1];
     for &corner in corners {
@@ -142,10 +189,10 @@ pub(super) fn draw_loop<S: Simd>(
         // The top-left rule: centres on left edges and on upper horizontal ones are covered, on others not.
         if dy == 0 {
             if dx > 0 {
-                y[0] = y[0].max(first(a.y));
+                y[0] = y[0].max(first_centre(a.y + inset));
             } else if dx < 0 {
                 let outside = i64::from(coverage == Coverage::Sampled);
-                y[1] = y[1].min(last(a.y - outside, tiles.height));
+                y[1] = y[1].min(last_centre(a.y - outside - inset, tiles.height));
             }
             continue;
         }
@@ -154,15 +201,12 @@ pub(super) fn draw_loop<S: Simd>(
             Coverage::Under => (dx.abs() + dy.abs()) * inset,
         };
         let n = dx * (tile_row - a.y) + dy * a.x - strict;
-        let edge = Edge::new(n, dx, dy.abs());
-        if dy < 0 {
-            edges[left] = edge;
-            left += 1;
-        } else {
-            right -= 1;
-            edges[right] = edge;
-        }
+        let right = f64::from(u8::from(dy > 0));
+        let bounds = Edge { not_left: right * NEVER, not_right: (1.0 - right) * NEVER, ..Edge::new(n, dx, dy.abs()) };
+        edges[edge_count] = bounds;
+        edge_count += 1;
     }
+    let edges = &mut edges[..edge_count];
     if y[0] > y[1] {
         return false;
     }
@@ -171,17 +215,23 @@ pub(super) fn draw_loop<S: Simd>(
     // `y[0]` may have grown; the edges start where it was.
     let mut first_tile_y = (tile_row >> 8) as usize / TILE_Y;
     while first_tile_y < y[0] as usize / TILE_Y {
-        edges.iter_mut().for_each(Edge::next_tile_row);
+        for edge in &mut *edges {
+            edge.next_tile_row();
+        }
         first_tile_y += 1;
     }
     for tile_y in first_tile_y..=y[1] as usize / TILE_Y {
-        let (mut from, mut to) = (f64x8::splat(simd, f64::from(x[0])), f64x8::splat(simd, f64::from(x[1])));
-        for edge in &mut edges[..left] {
-            from = simd.max_f64x8(from, -edge.quotients(simd));
-            edge.next_tile_row();
+        if tiles.nearer_in(simd, tiles_x, [tile_y, tile_y], nearest) {
+            for edge in &mut *edges {
+                edge.next_tile_row();
+            }
+            continue;
         }
-        for edge in &mut edges[right..] {
-            to = simd.min_f64x8(to, edge.quotients(simd));
+        let (mut from, mut to) = (f64x8::splat(simd, f64::from(x[0])), f64x8::splat(simd, f64::from(x[1])));
+        for edge in &mut *edges {
+            let bound = edge.quotients(simd);
+            from = simd.max_f64x8(from, -(bound + edge.not_left));
+            to = simd.min_f64x8(to, bound + edge.not_right);
             edge.next_tile_row();
         }
         fill_row(simd, tiles, tile_y, y, narrow(simd, from), narrow(simd, to), &depth);
@@ -200,52 +250,48 @@ fn fill_row<S: Simd>(
     mut to: f32x8<S>,
     depth: &LoopDepth,
 ) {
-    let splat = |v: f32| f32x8::splat(simd, v);
     let top = (tile_y * TILE_Y) as i32;
     let rows = super::lanes::ramp(simd) + top as f32;
     if y[0] > top || y[1] < top + TILE_Y as i32 - 1 {
-        let outside = rows.simd_lt(splat(y[0] as f32)) | rows.simd_gt(splat(y[1] as f32));
-        to = outside.select(splat(-1.0), to);
+        let outside = rows.simd_lt(splat(simd, y[0] as f32)) | rows.simd_gt(splat(simd, y[1] as f32));
+        to = outside.select(splat(simd, -1.0), to);
     }
     let some = from.simd_le(to);
     if !some.any_true() {
         return;
     }
-    let least = simd.reduce_min_f32x8(some.select(from, splat(f32::MAX)));
-    let greatest = simd.reduce_max_f32x8(some.select(to, splat(-1.0)));
-    let (first, last) = (least as usize / TILE_X, greatest as usize / TILE_X);
+    let least = simd.reduce_min_f32x8(some.select(from, splat(simd, f32::MAX)));
+    let greatest = simd.reduce_max_f32x8(some.select(to, splat(simd, -1.0)));
+    let (first, last) = (whole(least) / TILE_X, whole(greatest) / TILE_X);
     // Pixels beyond the image's right and lower edges count as covered with those before them.
-    let image_last = splat((tiles.width - 1) as f32);
-    to = (to.simd_ge(image_last) & some).select(splat((tiles.tiles_x * TILE_X - 1) as f32), to);
+    let image_last = splat(simd, (tiles.width - 1) as f32);
+    to = (to.simd_ge(image_last) & some).select(splat(simd, (tiles.tiles_x * TILE_X - 1) as f32), to);
     if y[1] == tiles.height - 1 && y[1] < top + TILE_Y as i32 - 1 {
-        let beyond = rows.simd_gt(splat(y[1] as f32));
-        from = beyond.select(splat((first * TILE_X) as f32), from);
-        to = beyond.select(splat((last * TILE_X + TILE_X - 1) as f32), to);
+        let beyond = rows.simd_gt(splat(simd, y[1] as f32));
+        from = beyond.select(splat(simd, (first * TILE_X) as f32), from);
+        to = beyond.select(splat(simd, (last * TILE_X + TILE_X - 1) as f32), to);
     }
     let inner_from = simd.reduce_max_f32x8(from);
     let inner_to = simd.reduce_min_f32x8(to);
     let row = depth.in_row(first, tile_y);
-    let mut part = |tile_x: usize| {
+    let (mut whole_first, mut whole_end) = (usize::MAX, usize::MAX);
+    if inner_to - inner_from >= LAST_INNER {
+        let (from, end) = (whole(inner_from).div_ceil(TILE_X), (whole(inner_to) + 1) / TILE_X);
+        if from < end {
+            (whole_first, whole_end) = (from, end);
+            tiles.close_whole(simd, tile_y, from, end - 1, &row);
+        }
+    }
+    let mut tile_x = first;
+    while tile_x <= last {
+        if tile_x == whole_first {
+            tile_x = whole_end;
+            continue;
+        }
         let column = (tile_x * TILE_X) as f32;
         let mask = columns(simd, from - column, to - column);
         tiles.close_part(simd, tile_x, tile_y, mask, &row);
-    };
-    if inner_to - inner_from >= LAST_INNER {
-        let whole_first = (inner_from as usize).div_ceil(TILE_X);
-        let whole_end = (inner_to as usize + 1) / TILE_X;
-        if whole_first < whole_end {
-            for tile_x in first..whole_first {
-                part(tile_x);
-            }
-            for tile_x in whole_end..=last {
-                part(tile_x);
-            }
-            tiles.close_whole(simd, tile_y, whole_first, whole_end - 1, &row);
-            return;
-        }
-    }
-    for tile_x in first..=last {
-        part(tile_x);
+        tile_x += 1;
     }
 }
 

@@ -6,11 +6,11 @@
 //!
 //! An edge of the silhouette is any line that the whole thing lies on one side of. Leaving edges or planes out is right too.
 
+use fearless_simd::f64x8;
 use fearless_simd::prelude::*;
-use fearless_simd::{f32x8, f64x8};
 use glam::DVec3;
 
-use super::lanes::{Plane, TILE_X, TILE_Y, columns_outward, ramp};
+use super::lanes::{Plane, TILE_X, TILE_Y, columns_outward, ramp, splat};
 use super::{Coverage, LOOP_MAX, MaskedDepth};
 use crate::Aabb;
 use crate::raster_sampled::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
@@ -39,12 +39,17 @@ pub(super) enum Asked {
 
 /// What a thing covers at most, and how near it is at most.
 pub(super) struct Silhouette {
+    place: Place,
+    outline: Outline,
+}
+
+#[derive(Clone, Copy)]
+struct Place {
     /// First and last column and row whose pixels it may touch.
     x: [i32; 2],
     y: [i32; 2],
     /// Its nearest depth, rounded up.
     z: f32,
-    outline: Outline,
 }
 
 /// The rest of it, computed only if it is needed.
@@ -106,16 +111,16 @@ impl Detail {
     }
 }
 
-/// The 12 edges of a box as pairs of corners (x is bit 0), with the two faces that meet there: axis, and whether at its maximum.
-const BOX_EDGES: [([usize; 2], [(usize, bool); 2]); 12] = {
-    let mut edges = [([0; 2], [(0, false); 2]); 12];
+/// The 12 edges of a box as pairs of corners (x is bit 0), with the two faces that meet there: axis, and 3 more at its maximum.
+const BOX_EDGES: [([usize; 2], [usize; 2]); 12] = {
+    let mut edges = [([0; 2], [0; 2]); 12];
     let mut i = 0;
     while i < 12 {
         let axis = i / 4;
         let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
         let (at_b, at_c) = (i % 2, i / 2 % 2);
         let corner = at_b << b | at_c << c;
-        edges[i] = ([corner, corner | 1 << axis], [(b, at_b == 1), (c, at_c == 1)]);
+        edges[i] = ([corner, corner | 1 << axis], [b + 3 * at_b, c + 3 * at_c]);
         i += 1;
     }
     edges
@@ -123,23 +128,24 @@ const BOX_EDGES: [([usize; 2], [(usize, bool); 2]); 12] = {
 
 impl Asked {
     #[inline(always)]
-    pub(super) fn of_box<S: Simd>(simd: S, image: &MaskedDepth, projector: &Projector, aabb: &Aabb) -> Asked {
+    pub(super) fn of_box<S: Simd>(
+        simd: S,
+        image: &MaskedDepth,
+        projector: &Projector,
+        aabb: &Aabb,
+        ask: bool,
+    ) -> Asked {
         let min = aabb.min - projector.eye();
         let max = aabb.max - projector.eye();
         if !(min.cmple(max).all() && (min + max).is_finite()) {
             return Asked::Touching;
         }
         let size = max - min;
-        let lane = |bit: usize| {
-            let high: [f64; 8] = std::array::from_fn(|i| (i >> bit & 1) as f64);
-            f64x8::from_slice(simd, &high)
-        };
-        let (in_x, in_y, in_z) = (lane(0), lane(1), lane(2));
-        let along = |axis: DVec3| {
-            let base = min.x * axis.x + min.y * axis.y + min.z * axis.z;
-            in_x * (size.x * axis.x) + in_y * (size.y * axis.y) + (in_z * (size.z * axis.z) + base)
-        };
-        let (x, y, w) = (along(projector.axes[0]), along(projector.axes[1]), along(projector.axes[2]));
+        let (x, y, w) = (
+            along(simd, projector.axes[0], min, size),
+            along(simd, projector.axes[1], min, size),
+            along(simd, projector.axes[2], min, size),
+        );
         let longest = min.abs().max(max.abs());
         let slack = 3.0 * (longest.x + longest.y + longest.z) * ROUNDING;
         if simd.reduce_max_f64x8(w) < -slack {
@@ -155,19 +161,21 @@ impl Asked {
         let columns = x * per_metre + (projector.middle[0] - 0.5);
         let rows = (projector.middle[1] - 0.5) - y * per_metre;
         let reach = image.reach() + slack / nearest * projector.focal_px;
-        let range = |v: f64x8<S>| [simd.reduce_min_f64x8(v) - reach, simd.reduce_max_f64x8(v) + reach];
-        let outline = Outline::Box {
-            min: min.to_array(),
-            max: max.to_array(),
-            columns: columns.into(),
-            rows: rows.into(),
-            reach,
-        };
-        Asked::within(projector, range(columns), range(rows), nearest, outline)
+        let ranges = [range(simd, columns, reach), range(simd, rows, reach)];
+        let Some(place) = place(simd, image, projector, ranges, nearest, ask) else { return Asked::Outside };
+        let (min, max) = (min.to_array(), max.to_array());
+        let outline = Outline::Box { min, max, columns: columns.into(), rows: rows.into(), reach };
+        Asked::In(Silhouette { place, outline })
     }
 
     #[inline(always)]
-    pub(super) fn of_ball(image: &MaskedDepth, projector: &Projector, centre: DVec3, radius: f64) -> Asked {
+    pub(super) fn of_ball<S: Simd>(
+        simd: S,
+        image: &MaskedDepth,
+        projector: &Projector,
+        centre: DVec3,
+        radius: f64,
+    ) -> Asked {
         let p = projector.view_point(centre);
         let size = p.x.abs() + p.y.abs() + p.w.abs() + radius;
         if !(size.is_finite() && radius >= 0.0) {
@@ -195,11 +203,12 @@ impl Asked {
             [middle - 0.5 + low * projector.focal_px - reach, middle - 0.5 + high * projector.focal_px + reach]
         };
         let (x, y) = (pixels(x, projector.middle[0]), pixels(y, projector.middle[1]));
-        Asked::within(projector, x, y, nearest, Outline::Ball { centre: p, radius, reach })
+        let Some(place) = place(simd, image, projector, [x, y], nearest, true) else { return Asked::Outside };
+        Asked::In(Silhouette { place, outline: Outline::Ball { centre: p, radius, reach } })
     }
 
     #[inline(always)]
-    pub(super) fn of_hull(image: &MaskedDepth, projector: &Projector, corners: &[DVec3]) -> Asked {
+    pub(super) fn of_hull<S: Simd>(simd: S, image: &MaskedDepth, projector: &Projector, corners: &[DVec3]) -> Asked {
         let count = corners.len();
         if !(1..=LOOP_MAX).contains(&count) {
             return Asked::Touching;
@@ -238,25 +247,57 @@ impl Asked {
         }
         let reach = image.reach() + slack / nearest * projector.focal_px;
         let [x, y] = [x, y].map(|[low, high]| [low - reach, high + reach]);
-        Asked::within(projector, x, y, nearest, Outline::Hull { count, columns, rows, depths, reach })
+        let Some(place) = place(simd, image, projector, [x, y], nearest, true) else { return Asked::Outside };
+        Asked::In(Silhouette { place, outline: Outline::Hull { count, columns, rows, depths, reach } })
     }
+}
 
-    /// The pixels between these columns and rows, cut to the image.
-    #[inline(always)]
-    fn within(projector: &Projector, x: [f64; 2], y: [f64; 2], nearest: f64, outline: Outline) -> Asked {
-        let centres = |[low, high]: [f64; 2], size: i32| {
-            let size = f64::from(size);
-            let (low, high) = (low.clamp(0.0, size), high.clamp(-1.0, size - 1.0));
-            let [from, to] = [low as i32, high as i32];
-            [from + i32::from(f64::from(from) < low), to - i32::from(f64::from(to) > high)]
-        };
-        let (x, y) = (centres(x, projector.width), centres(y, projector.height));
-        if x[0] > x[1] || y[0] > y[1] {
-            return Asked::Outside;
-        }
-        let z = projector.near / nearest * (1.0 + 2.0 * DEPTH_SLACK);
-        Asked::In(Silhouette { x, y, z: z as f32, outline })
+/// The rectangle of a thing and its nearest depth. `None` if no pixel sees it or, where it is to `ask`, all tiles hide it.
+#[inline(always)]
+fn place<S: Simd>(
+    simd: S,
+    image: &MaskedDepth,
+    projector: &Projector,
+    [x, y]: [[f64; 2]; 2],
+    nearest: f64,
+    ask: bool,
+) -> Option<Place> {
+    let (x, y) = (centres(x, projector.width), centres(y, projector.height));
+    if x[0] > x[1] || y[0] > y[1] {
+        return None;
     }
+    let z = (projector.near / nearest * (1.0 + 2.0 * DEPTH_SLACK)) as f32;
+    let (tiles_x, tiles_y) =
+        ([x[0] as usize / TILE_X, x[1] as usize / TILE_X], [y[0] as usize / TILE_Y, y[1] as usize / TILE_Y]);
+    if ask && image.tiles.nearer_in(simd, tiles_x, tiles_y, z) {
+        return None;
+    }
+    Some(Place { x, y, z })
+}
+
+/// The eight corners of a box along an axis, x fastest.
+#[inline(always)]
+fn along<S: Simd>(simd: S, axis: DVec3, min: DVec3, size: DVec3) -> f64x8<S> {
+    let in_x = f64x8::from_slice(simd, &[0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0]);
+    let in_y = f64x8::from_slice(simd, &[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
+    let in_z = f64x8::from_slice(simd, &[0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]);
+    let base = min.x * axis.x + min.y * axis.y + min.z * axis.z;
+    in_x * (size.x * axis.x) + in_y * (size.y * axis.y) + (in_z * (size.z * axis.z) + base)
+}
+
+/// Least and greatest, moved outward.
+#[inline(always)]
+fn range<S: Simd>(simd: S, v: f64x8<S>, reach: f64) -> [f64; 2] {
+    [simd.reduce_min_f64x8(v) - reach, simd.reduce_max_f64x8(v) + reach]
+}
+
+/// The first and last of `size` pixels whose centres lie between `low` and `high`; descending if there is none.
+#[inline(always)]
+fn centres([low, high]: [f64; 2], size: i32) -> [i32; 2] {
+    let size = f64::from(size);
+    let (low, high) = (low.max(0.0).min(size), high.max(-1.0).min(size - 1.0));
+    let [from, to] = [low as i32, high as i32];
+    [from + i32::from(f64::from(from) < low), to - i32::from(f64::from(to) > high)]
 }
 
 /// Tangents of the lines x = m · z that touch a circle that lies wholly in front: (x − m·z)² = r²(1 + m²). Rounded outward.
@@ -276,9 +317,13 @@ impl Outline {
         match self {
             Outline::Box { min, max, columns, rows, reach } => {
                 let inside = [columns.iter().sum::<f64>() * 0.125, rows.iter().sum::<f64>() * 0.125];
-                let faces = |(axis, high): (usize, bool)| if high { max[axis] < 0.0 } else { min[axis] > 0.0 };
+                // Bits of the faces that look at the eye: at the minimum, then at the maximum of each axis.
+                let mut facing = 0_u32;
+                for axis in 0..3 {
+                    facing |= u32::from(min[axis] > 0.0) << axis | u32::from(max[axis] < 0.0) << (axis + 3);
+                }
                 for ([a, b], [face, other]) in BOX_EDGES {
-                    if faces(face) != faces(other) {
+                    if (facing >> face ^ facing >> other) & 1 == 1 {
                         detail.add_edge([columns[a], rows[a]], [columns[b], rows[b]], inside, *reach);
                     }
                 }
@@ -291,17 +336,18 @@ impl Outline {
                     } else {
                         continue;
                     };
-                    let [right, up, forward] = projector.axes.map(|view| view[axis]);
+                    let [right, up, forward] =
+                        [projector.axes[0][axis], projector.axes[1][axis], projector.axes[2][axis]];
                     let scale = projector.near / distance;
                     let (x, y) = (right / projector.focal_px * scale, -up / projector.focal_px * scale);
-                    let [column, row] = projector.middle.map(|middle| middle - 0.5);
+                    let [column, row] = [projector.middle[0] - 0.5, projector.middle[1] - 0.5];
                     detail.add_plane(Linear { x, y, origin: forward * scale - x * column - y * row }, *reach);
                 }
             }
             Outline::Ball { centre, radius, reach } => {
                 // With the upright rectangle an octagon: tangents along the diagonals.
                 let half = std::f64::consts::FRAC_1_SQRT_2;
-                let [column, row] = projector.middle.map(|middle| middle - 0.5);
+                let [column, row] = [projector.middle[0] - 0.5, projector.middle[1] - 0.5];
                 let inside =
                     [column + centre.x / centre.w * projector.focal_px, row - centre.y / centre.w * projector.focal_px];
                 for down in [1.0, -1.0] {
@@ -382,21 +428,21 @@ impl MaskedDepth {
             Asked::Outside => false,
             Asked::Touching => true,
             Asked::In(silhouette) => {
-                let tiles_x = silhouette.x.map(|x| x as usize / TILE_X);
-                let tiles_y = silhouette.y.map(|y| y as usize / TILE_Y);
-                if self.tiles.nearer_in(simd, tiles_x, tiles_y, silhouette.z) {
-                    return false;
-                }
-                self.sees_in_detail(simd, &silhouette, tiles_x, tiles_y)
+                // One copy of this for each level, whoever asks.
+                simd.vectorize(
+                    #[inline(always)]
+                    || self.sees_in_detail(simd, &silhouette.place, &silhouette.outline),
+                )
             }
         }
     }
 
     #[inline(always)]
-    fn sees_in_detail<S: Simd>(&self, simd: S, asked: &Silhouette, tiles_x: [usize; 2], tiles_y: [usize; 2]) -> bool {
+    fn sees_in_detail<S: Simd>(&self, simd: S, asked: &Place, outline: &Outline) -> bool {
         let Some(projector) = &self.projector else { return true };
-        let detail = asked.outline.detail(projector);
-        let splat = |v: f32| f32x8::splat(simd, v);
+        let detail = outline.detail(projector);
+        let tiles_x = [asked.x[0] as usize / TILE_X, asked.x[1] as usize / TILE_X];
+        let tiles_y = [asked.y[0] as usize / TILE_Y, asked.y[1] as usize / TILE_Y];
         let mut read = 0;
         let mut seen = false;
         'rows: for tile_y in tiles_y[0]..=tiles_y[1] {
@@ -405,7 +451,7 @@ impl MaskedDepth {
             }
             let top = (tile_y * TILE_Y) as f64;
             let rows = ramp(simd);
-            let (mut from, mut to) = (splat(asked.x[0] as f32), splat(asked.x[1] as f32));
+            let (mut from, mut to) = (splat(simd, asked.x[0] as f32), splat(simd, asked.x[1] as f32));
             for [origin, turn] in &detail.left[..detail.left_count] {
                 from = simd.max_f32x8(from, rows * (*turn as f32) + (origin + turn * top).clamp(-1e5, 1e5) as f32);
             }
@@ -413,12 +459,12 @@ impl MaskedDepth {
                 to = simd.min_f32x8(to, rows * (*turn as f32) + (origin + turn * top).clamp(-1e5, 1e5) as f32);
             }
             let (first, last) = (asked.y[0] as f32 - top as f32, asked.y[1] as f32 - top as f32);
-            let inside = rows.simd_ge(splat(first)) & rows.simd_le(splat(last)) & from.simd_le(to + 1.0);
+            let inside = rows.simd_ge(splat(simd, first)) & rows.simd_le(splat(simd, last)) & from.simd_le(to + 1.0);
             if !inside.any_true() {
                 continue;
             }
-            to = inside.select(to, splat(-2.0));
-            let least = simd.reduce_min_f32x8(inside.select(from, splat(f32::MAX)));
+            to = inside.select(to, splat(simd, -2.0));
+            let least = simd.reduce_min_f32x8(inside.select(from, splat(simd, f32::MAX)));
             let greatest = simd.reduce_max_f32x8(to);
             let first = (least as usize / TILE_X).max(tiles_x[0]);
             let last = (greatest.max(0.0) as usize / TILE_X).min(tiles_x[1]);

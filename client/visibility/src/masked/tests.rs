@@ -230,9 +230,7 @@ fn under_coverage_holds_at_every_finer_resolution() {
             let mut items = ItemBuffer::new(&fine);
             drawn.iter().for_each(|corners| draw_fan(&mut items, 0, corners, Sides::Both));
             boxes.iter().for_each(|aabb| draw_box(&mut items, 9, aabb));
-            if finer != 1 {
-                assert!(!items.ids().contains(&9), "{view:?} {finer}");
-            }
+            assert!(!items.ids().contains(&9), "{view:?} {finer}");
             // Closed pixels are closed that near in all of their square.
             for y in 0..height * finer {
                 for x in 0..width * finer {
@@ -360,8 +358,8 @@ fn it_hides_nearly_all_that_exact_depths_hide() {
             more += usize::from(by_masks && !by_depth);
         }
     }
-    println!("of {exact} hidden by exact depths and rectangles {both}; by silhouettes and planes {more} more");
-    assert!(exact > 3000 && both * 1000 >= exact * 950, "{both} of {exact}, {more} more");
+    // 99.5 % when this was written, and 16 that only silhouettes and planes hide.
+    assert!(exact > 3000 && both * 1000 >= exact * 990 && more > 0, "{both} of {exact}, {more} more");
 }
 
 #[test]

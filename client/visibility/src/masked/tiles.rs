@@ -10,22 +10,20 @@
 use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, u32x8};
 
-use super::lanes::{LAST_X, LAST_Y, Plane, TILE_X, TILE_Y, above, ramp};
+use super::lanes::{LAST_X, LAST_Y, Plane, TILE_X, TILE_Y, above, is_empty, ramp, splat};
 
 /// Tiles of a block: lanes.
 pub(super) const BLOCK: usize = 8;
 
-/// The references of eight tiles.
+/// The references of eight tiles. In force where their least depth is above 0.
 #[derive(Clone, Copy, Debug, Default)]
 struct Block {
     at: [f32; BLOCK],
     dx: [f32; BLOCK],
     dy: [f32; BLOCK],
-    /// The nearest depth of each tile's working layer; at most the reference's least where there is none.
-    top: [f32; BLOCK],
 }
 
-/// Pixels that are closed nearer than the reference, perhaps. In force only if the block's `top` says so.
+/// Pixels that are closed nearer than the reference, perhaps. In force only if its `top` says so.
 #[derive(Clone, Copy, Debug, Default)]
 struct Working {
     mask: [u32; TILE_Y],
@@ -43,6 +41,8 @@ pub(super) struct Tiles {
     blocks_x: usize,
     /// The reference's least (farthest) depth over each tile's pixels in the image. Lanes beyond the image are infinitely near.
     least: Vec<[f32; BLOCK]>,
+    /// The nearest depth of each tile's working layer; at most the reference's least where there is none.
+    top: Vec<[f32; BLOCK]>,
     blocks: Vec<Block>,
     working: Vec<Working>,
 }
@@ -72,10 +72,11 @@ impl Tiles {
         (self.width, self.height) = (width as i32, height as i32);
         [self.tiles_x, self.tiles_y] = tiles;
         self.blocks_x = blocks_x;
-        // Working layers need no clearing: `top` says that there is none.
+        // Planes and masks need no clearing: `least` and `top` say that there are none.
         self.working.resize(blocks * BLOCK, Working::default());
-        self.blocks.clear();
         self.blocks.resize(blocks, Block::default());
+        self.top.clear();
+        self.top.resize(blocks, [0.0; BLOCK]);
         self.least.clear();
         self.least.resize(blocks, [0.0; BLOCK]);
         let used = self.tiles_x % BLOCK;
@@ -95,27 +96,36 @@ impl Tiles {
     /// Whether every tile's reference is nearer than `z`.
     #[inline(always)]
     pub(super) fn all_nearer<S: Simd>(&self, simd: S, z: f32) -> bool {
-        let limit = f32x8::splat(simd, z);
-        self.least.iter().all(|least| f32x8::from_slice(simd, least).simd_gt(limit).all_true())
+        let limit = splat(simd, z);
+        for least in &self.least {
+            if !f32x8::from_slice(simd, least).simd_gt(limit).all_true() {
+                return false;
+            }
+        }
+        true
     }
 
     /// Whether every tile's reference in these columns and rows of tiles (first and last) is nearer than `z`.
     #[inline(always)]
     pub(super) fn nearer_in<S: Simd>(&self, simd: S, x: [usize; 2], y: [usize; 2], z: f32) -> bool {
-        let limit = f32x8::splat(simd, z);
-        let [from, to] = x.map(|x| x / BLOCK);
+        let limit = splat(simd, z);
+        let (from, to) = (x[0] / BLOCK, x[1] / BLOCK);
         // Lanes that do not count.
         let before = (1_u64 << (x[0] % BLOCK)) - 1;
         let after = !((2_u64 << (x[1] % BLOCK)) - 1);
-        (y[0]..=y[1]).all(|tile_y| {
+        for tile_y in y[0]..=y[1] {
             let row = &self.least[tile_y * self.blocks_x + from..=tile_y * self.blocks_x + to];
-            row.iter().enumerate().all(|(i, least)| {
-                let mut nearer = f32x8::from_slice(simd, least).simd_gt(limit).to_bitmask();
-                nearer |= if i == 0 { before } else { 0 };
-                nearer |= if i == to - from { after } else { 0 };
-                nearer & 0xff == 0xff
-            })
-        })
+            let mut ignored = before;
+            for (i, least) in row.iter().enumerate() {
+                ignored |= if i == to - from { after } else { 0 };
+                let nearer = f32x8::from_slice(simd, least).simd_gt(limit).to_bitmask() | ignored;
+                if nearer & 0xff != 0xff {
+                    return false;
+                }
+                ignored = 0;
+            }
+        }
+        true
     }
 
     /// The least depth of all references; infinite for an image without pixels.
@@ -136,9 +146,8 @@ impl Tiles {
     #[inline(always)]
     pub(super) fn close_whole<S: Simd>(&mut self, simd: S, tile_y: usize, from: usize, to: usize, row: &RowPlane) {
         let p = row.plane;
-        let splat = |v: f32| f32x8::splat(simd, v);
-        let zero = splat(0.0);
-        let step = splat(p.dx * TILE_X as f32);
+        let zero = splat(simd, 0.0);
+        let step = splat(simd, p.dx * TILE_X as f32);
         let fall = self.fall(&p, false, tile_y);
         let fall_at_edge = self.fall(&p, true, tile_y);
         for block_x in from / BLOCK..=to / BLOCK {
@@ -146,21 +155,21 @@ impl Tiles {
             let (block, least) = (&mut self.blocks[index], &mut self.least[index]);
             let columns = ramp(simd) + (block_x * BLOCK) as f32;
             let at = (columns - row.first as f32) * step + p.at;
-            let at_edge = columns.simd_eq(splat((self.tiles_x - 1) as f32));
-            let p_least = at + at_edge.select(splat(fall_at_edge), splat(fall));
+            let at_edge = columns.simd_eq(splat(simd, (self.tiles_x - 1) as f32));
+            let p_least = at + at_edge.select(splat(simd, fall_at_edge), splat(simd, fall));
             let old_least = f32x8::from_slice(simd, least);
             // What it has over the old reference at the corners.
             let d_at = at - f32x8::from_slice(simd, &block.at);
-            let d_x = (splat(p.dx) - f32x8::from_slice(simd, &block.dx)) * LAST_X;
-            let d_y = (splat(p.dy) - f32x8::from_slice(simd, &block.dy)) * LAST_Y;
+            let d_x = (splat(simd, p.dx) - f32x8::from_slice(simd, &block.dx)) * LAST_X;
+            let d_y = (splat(simd, p.dy) - f32x8::from_slice(simd, &block.dy)) * LAST_Y;
             let worst = d_at + simd.min_f32x8(d_x, zero) + simd.min_f32x8(d_y, zero);
             // Nearer everywhere, or else by its farthest pixel.
-            let better = worst.simd_ge(zero) | p_least.simd_gt(old_least);
-            let inside = columns.simd_ge(splat(from as f32)) & columns.simd_le(splat(to as f32));
+            let better = (worst.simd_ge(zero) & old_least.simd_gt(zero)) | p_least.simd_gt(old_least);
+            let inside = columns.simd_ge(splat(simd, from as f32)) & columns.simd_le(splat(simd, to as f32));
             let take = better & inside;
             take.select(at, f32x8::from_slice(simd, &block.at)).store_slice(&mut block.at);
-            take.select(splat(p.dx), f32x8::from_slice(simd, &block.dx)).store_slice(&mut block.dx);
-            take.select(splat(p.dy), f32x8::from_slice(simd, &block.dy)).store_slice(&mut block.dy);
+            take.select(splat(simd, p.dx), f32x8::from_slice(simd, &block.dx)).store_slice(&mut block.dx);
+            take.select(splat(simd, p.dy), f32x8::from_slice(simd, &block.dy)).store_slice(&mut block.dy);
             take.select(p_least, old_least).store_slice(least);
         }
     }
@@ -183,17 +192,17 @@ impl Tiles {
         if !(p_top > least) {
             return;
         }
-        let block = &mut self.blocks[index];
+        let block = &self.blocks[index];
         let reference = Plane { at: block.at[lane], dx: block.dx[lane], dy: block.dy[lane] };
-        if p.minus(&reference).greatest() <= 0.0 {
+        if least > 0.0 && p.minus(&reference).greatest() <= 0.0 {
             return;
         }
         let working = &mut self.working[index * BLOCK + lane];
-        let top = block.top[lane];
+        let top = self.top[index][lane];
         if !(top > least) {
             mask.store_slice(&mut working.mask);
             working.plane = p;
-            block.top[lane] = p_top;
+            self.top[index][lane] = p_top;
             return;
         }
         let old_mask = u32x8::from_slice(simd, &working.mask);
@@ -204,11 +213,11 @@ impl Tiles {
             if p_top > top {
                 mask.store_slice(&mut working.mask);
                 working.plane = p;
-                block.top[lane] = p_top;
+                self.top[index][lane] = p_top;
             }
             let both_least = both.at + self.fall(&both, tile_x + 1 == self.tiles_x, tile_y);
             let block = &mut self.blocks[index];
-            if both_least > least || both.minus(&reference).least() >= 0.0 {
+            if both_least > least || (least > 0.0 && both.minus(&reference).least() >= 0.0) {
                 (block.at[lane], block.dx[lane], block.dy[lane]) = (both.at, both.dx, both.dy);
                 self.least[index][lane] = both_least;
             }
@@ -217,11 +226,11 @@ impl Tiles {
         let (mut kept, mut plane) = (union, both);
         if least > 0.0 {
             // Something closes the tile already: keep what adds most to it.
-            let gain = |mask: u32x8<S>, plane: &Plane| {
-                let pixels = simd.reduce_sum_u32x8(simd.count_ones_u32x8(mask)) as f32;
-                pixels * plane.minus(&reference).middle()
-            };
-            let [merged, new, old] = [gain(union, &both), gain(mask, &p), gain(old_mask, &working.plane)];
+            let [merged, new, old] = [
+                gain(simd, union, &both.minus(&reference)),
+                gain(simd, mask, &p.minus(&reference)),
+                gain(simd, old_mask, &working.plane.minus(&reference)),
+            ];
             if old >= merged && old >= new {
                 return;
             }
@@ -231,7 +240,7 @@ impl Tiles {
         }
         kept.store_slice(&mut working.mask);
         working.plane = plane;
-        block.top[lane] = plane.greatest();
+        self.top[index][lane] = plane.greatest();
     }
 
     /// Pixels among `asked` of a tile that are not certainly closed nearer than the farthest of `limits`: depths in this tile
@@ -248,31 +257,28 @@ impl Tiles {
         let index = tile_y * self.blocks_x + tile_x / BLOCK;
         let lane = tile_x % BLOCK;
         let block = &self.blocks[index];
-        let none = u32x8::splat(simd, 0);
         let reference = Plane { at: block.at[lane], dx: block.dx[lane], dy: block.dy[lane] };
         let mut open = asked;
-        let closed_by =
-            |plane: &Plane, limit: &Plane| above(simd, &plane.minus(limit), plane.rounding() + limit.rounding());
         if self.least[index][lane] > 0.0 {
             for limit in limits {
-                open &= !closed_by(&reference, limit);
+                open &= !nearer(simd, &reference, limit);
             }
         }
-        if open.simd_eq(none).all_true() {
+        if is_empty(simd, open) {
             return false;
         }
-        if !(block.top[lane] > self.least[index][lane]) {
+        if !(self.top[index][lane] > self.least[index][lane]) {
             return true;
         }
         let working = &self.working[index * BLOCK + lane];
         let mask = u32x8::from_slice(simd, &working.mask);
-        if !(open & !mask).simd_eq(none).all_true() {
+        if !is_empty(simd, open & !mask) {
             return true;
         }
         for limit in limits {
-            open &= !closed_by(&working.plane, limit);
+            open &= !nearer(simd, &working.plane, limit);
         }
-        !open.simd_eq(none).all_true()
+        !is_empty(simd, open)
     }
 
     /// Whether anything was drawn over a pixel, for tests with one polygon.
@@ -281,10 +287,9 @@ impl Tiles {
         let (tile_x, tile_y) = (x as usize / TILE_X, y as usize / TILE_Y);
         let index = tile_y * self.blocks_x + tile_x / BLOCK;
         let lane = tile_x % BLOCK;
-        let block = &self.blocks[index];
         let working = &self.working[index * BLOCK + lane];
-        let whole = block.at[lane] != 0.0 || block.dx[lane] != 0.0 || block.dy[lane] != 0.0;
-        whole || (block.top[lane] != 0.0 && working.mask[y as usize % TILE_Y] >> (x % TILE_X as u32) & 1 == 1)
+        let whole = self.least[index][lane] > 0.0;
+        whole || (self.top[index][lane] != 0.0 && working.mask[y as usize % TILE_Y] >> (x % TILE_X as u32) & 1 == 1)
     }
 
     /// What closes a pixel, for tests: the nearer of both layers.
@@ -296,25 +301,39 @@ impl Tiles {
         let lane = tile_x % BLOCK;
         let block = &self.blocks[index];
         let at = |plane: Plane| plane.at + i as f32 * plane.dx + j as f32 * plane.dy;
-        let mut depth = at(Plane { at: block.at[lane], dx: block.dx[lane], dy: block.dy[lane] }).max(0.0);
+        let mut depth = 0.0_f32;
+        if self.least[index][lane] > 0.0 {
+            depth = depth.max(at(Plane { at: block.at[lane], dx: block.dx[lane], dy: block.dy[lane] }));
+        }
         let working = &self.working[index * BLOCK + lane];
-        if block.top[lane] > self.least[index][lane] && working.mask[j] >> i & 1 == 1 {
+        if self.top[index][lane] > self.least[index][lane] && working.mask[j] >> i & 1 == 1 {
             depth = depth.max(at(working.plane));
         }
         depth
     }
 }
 
+/// Pixels of a tile where `plane` is certainly above `limit`.
+#[inline(always)]
+fn nearer<S: Simd>(simd: S, plane: &Plane, limit: &Plane) -> u32x8<S> {
+    above(simd, &plane.minus(limit), plane.rounding() + limit.rounding())
+}
+
+/// What pixels at these depths over the reference are worth.
+#[inline(always)]
+fn gain<S: Simd>(simd: S, mask: u32x8<S>, over: &Plane) -> f32 {
+    simd.reduce_sum_u32x8(simd.count_ones_u32x8(mask)) as f32 * over.middle()
+}
+
 /// A plane that lies nowhere above `p` within its mask, and nowhere above `q` within its own.
 #[inline(always)]
 fn lower<S: Simd>(simd: S, p: &Plane, p_mask: u32x8<S>, q: &Plane, q_mask: u32x8<S>) -> Plane {
     let slack = p.rounding() + q.rounding();
-    let none = u32x8::splat(simd, 0);
     // Each, a little lower, where it serves for the other too: two walls that meet in a far corner, or parts of one wall.
     let p_lowered = Plane { at: p.at - 2.0 * slack, ..*p };
     let q_lowered = Plane { at: q.at - 2.0 * slack, ..*q };
-    let p_serves = (q_mask & !above(simd, &q.minus(&p_lowered), slack)).simd_eq(none).all_true();
-    let q_serves = (p_mask & !above(simd, &p.minus(&q_lowered), slack)).simd_eq(none).all_true();
+    let p_serves = is_empty(simd, q_mask & !above(simd, &q.minus(&p_lowered), slack));
+    let q_serves = is_empty(simd, p_mask & !above(simd, &p.minus(&q_lowered), slack));
     match (p_serves, q_serves) {
         (true, true) if p_lowered.middle() >= q_lowered.middle() => p_lowered,
         (true, false) => p_lowered,
