@@ -14,8 +14,10 @@ use super::path::{Camera, CameraPath};
 use crate::chance;
 use crate::places;
 use crate::scene::building::{self, BuildingRules};
+use crate::scene::office::{self, OfficeRules};
 use crate::scene::plan::{Rect, RoomPlan, RoomsRules};
 use crate::scene::rooms;
+use crate::scene::tower::{self, TowerRules};
 
 /// Eye height above a place that names the feet, metres: FACTS.md's for the maps.
 const MAP_EYE_HEIGHT: f64 = 1.4375;
@@ -66,12 +68,12 @@ pub struct WorldRules {
     pub scene_seed: Option<u64>,
     /// Pieces of furniture a room, for `building`.
     pub objects_per_room: Option<u32>,
-    /// Views, if the number is known beforehand: `building` makes as many cameras.
+    /// Views, if the number is known beforehand: made worlds with cameras make as many.
     pub views: Option<u32>,
 }
 
 /// Worlds that can be made instead of read.
-pub const MADE: [&str; 2] = ["building", "rooms"];
+pub const MADE: [&str; 4] = ["building", "office", "tower", "rooms"];
 
 impl World {
     /// A scene as it is, without places to stand.
@@ -95,6 +97,20 @@ impl World {
         let path = Path::new(name);
         match name {
             "building" => World::building(rules),
+            "office" => {
+                let default = OfficeRules::default();
+                let (seed, cameras) =
+                    (rules.scene_seed.unwrap_or(default.seed), rules.views.unwrap_or(default.cameras));
+                let made = office::make(&OfficeRules { seed, cameras, ..default })?;
+                World::made(&made.glb, format!("office seed {seed}"), Standing::Cameras(made.cameras), rules)
+            }
+            "tower" => {
+                let default = TowerRules::default();
+                let (seed, cameras) =
+                    (rules.scene_seed.unwrap_or(default.seed), rules.views.unwrap_or(default.cameras));
+                let made = tower::make(&TowerRules { seed, cameras, ..default })?;
+                World::made(&made.glb, format!("tower seed {seed}"), Standing::Cameras(made.cameras), rules)
+            }
             "rooms" => World::rooms(rules),
             _ if path.extension().is_none() && !path.exists() => {
                 anyhow::bail!("there is no file `{name}`, nor a maker of that name; makers: {}", MADE.join(", "))

@@ -23,7 +23,7 @@ use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
 use super::furniture::{Piece, pieces};
-use super::glb::{GlbError, GlbWriter, Node, Triangles};
+use super::glb::{GlbError, GlbWriter, Node};
 use super::plan::{PlanError, Rect, RoomPlan, RoomsRules};
 use crate::chance;
 use crate::cull::{Camera, CameraPath};
@@ -258,23 +258,13 @@ fn build_shell(plan: &RoomPlan, writer: &mut GlbWriter) -> Result<(), GlbError> 
     let rules = &plan.rules;
     let slab = writer.material("slab", [0.55, 0.5, 0.45], false);
     let wall = writer.material("wall", [0.74, 0.72, 0.66], false);
-    let mut shell = |name: String, material, boxes: &[(DVec3, DVec3)]| {
-        // As in `rooms`: the node carries the f64 place, the mesh what is small.
-        let center = (boxes[0].0 + boxes[0].1) * 0.5;
-        let mut triangles = Triangles::default();
-        for &(min, max) in boxes {
-            triangles.push_box((min - center).as_vec3(), (max - center).as_vec3());
-        }
-        let mesh = writer.mesh(&name, &triangles, Some(material))?;
-        writer.node(Node { name, mesh: Some(mesh), translation: center, rotation: DQuat::IDENTITY })
-    };
     let solid = |plan: Rect, bottom: f64, top: f64| {
         (DVec3::new(plan.min.x, bottom, plan.min.y), DVec3::new(plan.max.x, top, plan.max.y))
     };
     for room in 0..plan.rooms.len() {
         let cell = plan.rooms[room].clear.grown(0.5 * rules.wall);
         let boxes = [solid(cell, -SLAB, 0.0), solid(cell, rules.height, rules.height + SLAB)];
-        shell(format!("slabs.{room}"), slab, &boxes)?;
+        writer.boxes(format!("slabs.{room}"), slab, &boxes)?;
     }
     let (bottom, top) = (-SUNK, rules.height + SUNK);
     let mut walls = 0;
@@ -299,7 +289,7 @@ fn build_shell(plan: &RoomPlan, writer: &mut GlbWriter) -> Result<(), GlbError> 
                     vec![solid(footprint(from, to), bottom, top)]
                 }
             };
-            shell(format!("wall.{walls}"), wall, &boxes)?;
+            writer.boxes(format!("wall.{walls}"), wall, &boxes)?;
             walls += 1;
         }
     }

@@ -39,6 +39,39 @@ pub fn pieces() -> Vec<Piece> {
     ]
 }
 
+/// A desk with what is on it, and its chair: five times [`TRIANGLES`]. Origin on the floor under the desk's middle; the chair
+/// stands toward +Z, 1.1 m deep in all.
+pub fn workplace() -> Triangles {
+    let mut mesh = table("desk", 1.2, 0.7, 0.75).mesh;
+    for (min, max) in [
+        // Screen, keyboard, lamp.
+        (Vec3::new(-0.3, 0.76, -0.25), Vec3::new(0.3, 1.15, -0.2)),
+        (Vec3::new(-0.22, 0.755, 0.05), Vec3::new(0.22, 0.78, 0.2)),
+        (Vec3::new(0.45, 0.76, -0.28), Vec3::new(0.52, 1.2, -0.21)),
+    ] {
+        push_grid_box(&mut mesh, min, max, [4, 6, 4]);
+    }
+    let (first, chair) = (mesh.positions.len() as u32, chair().mesh);
+    // It faces the desk as it is made, toward −Z.
+    mesh.positions.extend(chair.positions.iter().map(|corner| *corner + Vec3::new(0.0, 0.0, 0.55)));
+    mesh.indices.extend(chair.indices.iter().map(|index| index + first));
+    mesh
+}
+
+/// A bookcase of five boards of books in front of its back: six times [`TRIANGLES`]. Origin on the floor under its middle,
+/// 1.0 × 0.3 m, 2.0 m high.
+pub fn bookcase() -> Triangles {
+    let mut mesh = Triangles::default();
+    push_grid_box(&mut mesh, Vec3::new(-0.5, LIFT, -0.15), Vec3::new(0.5, 2.0, -0.12), [4, 6, 4]);
+    for board in 0..5 {
+        let bottom = 0.05 + 0.39 * board as f32;
+        // Books of one board end at different places, so that one sees between them.
+        let reach = 0.48 - 0.07 * ((board * 2) % 5) as f32;
+        push_grid_box(&mut mesh, Vec3::new(-0.48, bottom, -0.11), Vec3::new(reach, bottom + 0.28, 0.15), [4, 6, 4]);
+    }
+    mesh
+}
+
 /// Boxes, each with its grid.
 fn piece(name: &'static str, boxes: &[(Vec3, Vec3, [u32; 3])]) -> Piece {
     let mut mesh = Triangles::default();
@@ -131,6 +164,14 @@ mod tests {
         }
         let sizes: Vec<f64> = pieces().iter().map(|piece| (piece.radius * 1e4).round()).collect();
         assert!(sizes.is_sorted(), "{sizes:?}");
+    }
+
+    #[test]
+    fn sets_of_furniture_have_their_triangles_and_stay_in_their_footprint() {
+        let reach = |mesh: &Triangles| mesh.positions.iter().fold(Vec3::ZERO, |most, corner| most.max(corner.abs()));
+        assert_eq!((workplace().len(), bookcase().len()), (5 * TRIANGLES, 6 * TRIANGLES));
+        assert!(reach(&workplace()).cmple(Vec3::new(0.6, 1.2, 0.751)).all(), "{}", reach(&workplace()));
+        assert!(reach(&bookcase()).cmple(Vec3::new(0.5, 2.0, 0.15)).all());
     }
 
     #[test]

@@ -4,8 +4,11 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use eyeline_sim::scene::building::{self, BuildingRules};
+use eyeline_sim::scene::made::MadeModel;
+use eyeline_sim::scene::office::{self, OfficeRules};
 use eyeline_sim::scene::plan::RoomsRules;
 use eyeline_sim::scene::rooms;
+use eyeline_sim::scene::tower::{self, TowerRules};
 
 /// The makers.
 #[derive(Subcommand)]
@@ -14,6 +17,10 @@ pub enum Scene {
     Rooms(Rooms),
     /// What cullers are measured on: 22×22 rooms with doors, 8 pieces of furniture of 256 triangles in each, and cameras
     Building(Building),
+    /// Floors of furnished offices along corridors, joined by a stairwell: about a million triangles
+    Office(Office),
+    /// 54 storeys around an atrium: about a million triangles in front of each other
+    Tower(Tower),
 }
 
 /// Rules of `rooms`. The maker checks them, and names what is wrong.
@@ -92,18 +99,68 @@ pub struct Building {
     out: PathBuf,
 }
 
+/// Rules of `office`.
+#[derive(Args)]
+pub struct Office {
+    /// Floors on top of each other
+    #[arg(long, value_name = "N", default_value_t = OfficeRules::default().floors)]
+    floors: u32,
+
+    /// Cameras in offices, corridors and lobbies
+    #[arg(long, value_name = "N", default_value_t = OfficeRules::default().cameras)]
+    cameras: u32,
+
+    /// Decides doors, furniture and cameras; the same seed gives the same bytes
+    #[arg(long, value_name = "N", default_value_t = OfficeRules::default().seed)]
+    seed: u64,
+
+    /// Where to write the model; NAME.cameras.json is written beside it
+    #[arg(long, value_name = "FILE.glb")]
+    out: PathBuf,
+}
+
+/// Rules of `tower`.
+#[derive(Args)]
+pub struct Tower {
+    /// Modules on top of each other, each of one storey
+    #[arg(long, value_name = "N", default_value_t = TowerRules::default().modules)]
+    modules: u32,
+
+    /// Cameras on galleries and in rooms
+    #[arg(long, value_name = "N", default_value_t = TowerRules::default().cameras)]
+    cameras: u32,
+
+    /// Decides doors, furniture, turns and cameras; the same seed gives the same bytes
+    #[arg(long, value_name = "N", default_value_t = TowerRules::default().seed)]
+    seed: u64,
+
+    /// Where to write the model; NAME.cameras.json is written beside it
+    #[arg(long, value_name = "FILE.glb")]
+    out: PathBuf,
+}
+
 pub const EXAMPLES: &str = "Examples:
   eyeline-sim scene rooms --out out/rooms.glb
   eyeline-sim scene rooms --columns 3 --rows 3 --seed 8 --moving-share 1 --out out/small.glb
   eyeline-sim scene rooms --columns 40 --rows 40 --bare --door-width 0.9 --out out/maze.glb
   eyeline-sim scene building --seed 3 --out out/building.glb
-  eyeline-sim scene building --objects-per-room 64 --cameras 60 --out out/crowded.glb";
+  eyeline-sim scene building --objects-per-room 64 --cameras 60 --out out/crowded.glb
+  eyeline-sim scene office --out out/office.glb
+  eyeline-sim scene tower --modules 10 --out out/tower.glb";
 
 /// Makes and writes a scene.
 pub fn run(scene: &Scene) -> anyhow::Result<()> {
     let text = match scene {
         Scene::Rooms(options) => write_rooms(options)?,
         Scene::Building(options) => write_building(options)?,
+        &Scene::Office(Office { floors, cameras, seed, ref out }) => {
+            check_name(out)?;
+            write_made(&office::make(&OfficeRules { floors, cameras, seed })?, out)?
+        }
+        &Scene::Tower(Tower { modules, cameras, seed, ref out }) => {
+            check_name(out)?;
+            write_made(&tower::make(&TowerRules { modules, cameras, seed })?, out)?
+        }
     };
     super::print(&text);
     Ok(())
@@ -141,6 +198,18 @@ fn write_rooms(options: &Rooms) -> anyhow::Result<String> {
         made.world.objects.len(),
         made.world.spawns.len(),
         options.out.with_extension("world.toml").display(),
+    ))
+}
+
+fn write_made(made: &MadeModel, out: &Path) -> anyhow::Result<String> {
+    made.write(out)?;
+    Ok(format!(
+        "{}: {} triangles, {} bytes; {} cameras in {}\n",
+        out.display(),
+        made.triangles,
+        made.glb.len(),
+        made.cameras.cameras.len(),
+        out.with_extension("cameras.json").display(),
     ))
 }
 
