@@ -8,7 +8,8 @@ use std::sync::Arc;
 use eyeline_visibility::{
     Aabb, Bound, Budget, Cplp, CplpQueryCuller, Culler, DepthBuffer, EyeRegion, HierarchicalZ, HistogramQuery,
     ItemBuffer, ItemBufferQuery, Octree, OctreeRules, OneAtATimeQuery, PerFragmentHistogram, QueryBackEnd,
-    QueryFrontToBack, QueryKind, Resolution, Scene, Scratch, Sides, Triangle, View, exact_set, wrong_pixels,
+    QueryFrontToBack, QueryKind, Resolution, Scene, Scratch, Sides, Tessellation, Triangle, View, exact_set,
+    wrong_pixels,
 };
 use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};

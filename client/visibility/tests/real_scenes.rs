@@ -109,9 +109,8 @@ fn real_scenes_are_culled_without_error() {
 fn query_back_ends_and_baselines_cull_real_scenes_without_error() {
     for file in scene_files() {
         let scene = Arc::new(load_file(&file, &LoadOptions::default()).unwrap());
-        let octree = Octree::build(&scene, OctreeRules::default());
+        let octree = Arc::new(Octree::build(&scene, OctreeRules::default()));
         let cplp = Arc::new(Cplp::new(octree.clone()));
-        let octree = Arc::new(octree);
         let mut cullers: Vec<(&str, Box<dyn Culler>)> = vec![
             ("front to back", Box::new(QueryFrontToBack::new(scene.clone(), octree.clone()))),
             ("hierarchical Z", Box::new(HierarchicalZ::new(scene.clone(), octree))),

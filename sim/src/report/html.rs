@@ -1,6 +1,6 @@
 //! How does a report look? One page with everything in it: plots, then tables, then where the numbers come from.
 //!
-//! The page loads nothing, and its own policy forbids it to. Sorting is the only thing that its script does.
+//! The page loads nothing, and its own policy forbids it to: pictures are part of it. Sorting is the only thing that its script does.
 
 use std::fmt::Write;
 
@@ -37,6 +37,7 @@ impl Report {
         for plot in &self.plots {
             page.plot(plot);
         }
+        page.pictures(self);
         page.rows(self);
         for comparison in &self.comparisons {
             page.pareto(self.rows(), &self.columns, comparison);
@@ -74,7 +75,7 @@ impl Page {
         self.line("<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">");
         self.line(
             "<meta http-equiv=\"Content-Security-Policy\" \
-             content=\"default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'\">",
+             content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'\">",
         );
         self.line(&format!("<title>{title}</title>\n<style>{}</style>\n</head>", include_str!("report.css")));
         self.line(&format!("<body>\n<main>\n<header>\n<h1>{title}</h1>"));
@@ -96,6 +97,19 @@ impl Page {
             self.line(&format!("<figcaption>{}</figcaption>", escape(&drawing.note)));
         }
         self.line("</figure>");
+    }
+
+    fn pictures(&mut self, report: &Report) {
+        if report.pictures.is_empty() {
+            return;
+        }
+        self.line("<h2>Pictures</h2>\n<div class=\"pictures\">");
+        for picture in &report.pictures {
+            let (title, png) = (escape(&picture.title), escape(&picture.png));
+            self.line(&format!("<figure><img alt=\"{title}\" src=\"data:image/png;base64,{png}\">"));
+            self.line(&format!("<figcaption>{title}</figcaption></figure>"));
+        }
+        self.line("</div>");
     }
 
     fn rows(&mut self, report: &Report) {

@@ -30,6 +30,7 @@ mod row;
 mod table;
 mod write;
 
+use base64::Engine as _;
 use serde::{Deserialize, Serialize};
 
 pub use machine::{Build, Machine, command_line, rfc3339, short_path, this_command};
@@ -63,6 +64,9 @@ pub struct Report {
     /// Plots beside those that `comparisons` make.
     #[serde(default)]
     pub plots: Vec<Plot>,
+    /// Pictures after the plots.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub pictures: Vec<Picture>,
     rows: Vec<Row>,
     /// The runs that were merged into this report; empty if it is of one run.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -114,6 +118,22 @@ pub struct Comparison {
     pub time: String,
     /// The column of errors.
     pub error: String,
+}
+
+/// A picture, whole within the report.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Picture {
+    /// What it shows, in a phrase.
+    pub title: String,
+    /// A PNG file in base64.
+    png: String,
+}
+
+impl Picture {
+    /// A picture from the bytes of a PNG file.
+    pub fn new(title: impl Into<String>, png: &[u8]) -> Self {
+        Self { title: title.into(), png: base64::engine::general_purpose::STANDARD.encode(png) }
+    }
 }
 
 impl Run {
@@ -181,6 +201,7 @@ impl Report {
             columns,
             comparisons: Vec::new(),
             plots: Vec::new(),
+            pictures: Vec::new(),
             rows: Vec::new(),
             sources: Vec::new(),
         }
@@ -245,6 +266,8 @@ impl Report {
             }
             let named = |plot: &Plot| Plot { title: format!("{name}: {}", plot.title), ..plot.clone() };
             merged.plots.extend(part.plots.iter().map(named));
+            let named = |picture: &Picture| Picture { title: format!("{name}: {}", picture.title), ..picture.clone() };
+            merged.pictures.extend(part.pictures.iter().map(named));
             merged.rows.extend(part.rows.iter().map(|row| row.clone().with_first("run", name.as_str())));
             // A merged report may be merged again; its sources stay the runs that measured.
             let own = if part.sources.is_empty() { std::slice::from_ref(&part.run) } else { &part.sources };

@@ -195,6 +195,18 @@ impl GlbWriter {
         Ok(())
     }
 
+    /// Adds a node of solid boxes, each from its least to its greatest corner in metres. The node carries the f64 place of
+    /// the first, the mesh what is small; coordinates that boxes of one node share agree to the last bit.
+    pub fn boxes(&mut self, name: String, material: MaterialId, boxes: &[(DVec3, DVec3)]) -> Result<(), GlbError> {
+        let center = boxes.first().map_or(DVec3::ZERO, |(min, max)| (min + max) * 0.5);
+        let mut triangles = Triangles::default();
+        for &(min, max) in boxes {
+            triangles.push_box((min - center).as_vec3(), (max - center).as_vec3());
+        }
+        let mesh = self.mesh(&name, &triangles, Some(material))?;
+        self.node(Node { name, mesh: Some(mesh), translation: center, rotation: DQuat::IDENTITY })
+    }
+
     /// Triangles that the scene shows, instances counted each time.
     pub fn triangles(&self) -> usize {
         self.triangles

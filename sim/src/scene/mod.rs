@@ -2,8 +2,15 @@
 //!
 //! A maker is a pure function from rules and a seed to bytes, so a scene needs no file in the repository and every process
 //! of a run can rebuild what it must know (doors and obstacles for walkers) from the rules alone. [`plan`] decides where
-//! everything is, [`rooms`] gives it walls, furniture and moving chairs, and [`glb`] writes it down.
+//! everything is, [`rooms`] gives it walls, furniture and moving chairs, and [`glb`] writes it down. [`building`] is the
+//! same plan at the size of the culling figures, with [`furniture`] to find; [`office`] and [`tower`] are cPLP's two models in
+//! spirit.
 
+pub mod building;
+pub mod furniture;
 pub mod glb;
+pub mod made;
+pub mod office;
 pub mod plan;
 pub mod rooms;
+pub mod tower;

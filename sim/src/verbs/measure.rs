@@ -20,6 +20,7 @@ use eyeline_visibility::{EyeRegion, Resolution};
 use glam::DVec3;
 
 use super::place::Place;
+use super::{pair, resolution};
 
 /// Options of `measure`.
 #[derive(Args)]
@@ -141,20 +142,9 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim measure --rooms 16x16 --clients 64 --net sim --rtt 50 --jitter 10 --loss 0.02
   eyeline-sim measure --policies visible --sabotage drop-exposures      (must show misses)";
 
-fn pair(text: &str) -> Option<(u32, u32)> {
-    let (a, b) = text.split_once(['x', '×'])?;
-    Some((a.trim().parse().ok()?, b.trim().parse().ok()?))
-}
-
 fn columns_by_rows(text: &str) -> Result<(u32, u32), String> {
     let rooms = pair(text).filter(|&(columns, rows)| (1..=200).contains(&columns) && (1..=200).contains(&rows));
     rooms.ok_or_else(|| "give columns and rows from 1 to 200, as in 10x10".to_owned())
-}
-
-fn resolution(text: &str) -> Result<Resolution, String> {
-    let size = pair(text).filter(|&(width, height)| (1..=8192).contains(&width) && (1..=8192).contains(&height));
-    let size = size.ok_or_else(|| "give width and height from 1 to 8192 pixels, as in 320x240".to_owned())?;
-    Ok(Resolution::new(size.0, size.1))
 }
 
 /// As many clients as one core can cull for in real time, and `most` at the most: more would measure the machine.

@@ -1,5 +1,6 @@
 //! What can be done from the command line: one file a verb, each with its options and what it prints.
 
+mod cull;
 mod measure;
 mod place;
 mod replay;
@@ -11,6 +12,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use clap::Subcommand;
+use eyeline_visibility::Resolution;
 
 /// A verb and its options.
 #[derive(Subcommand)]
@@ -18,6 +20,9 @@ pub enum Verb {
     /// Measure policies side by side: messages, bytes, misses, lateness and disclosure, with the truth beside them
     #[command(after_long_help = measure::EXAMPLES)]
     Measure(Box<measure::Measure>),
+    /// Compare cullers: wrong pixels, what was kept and what was lost, z-tests and time
+    #[command(after_long_help = cull::EXAMPLES)]
+    Cull(Box<cull::Cull>),
     /// Make a scene: a .glb with its world file
     #[command(subcommand, after_long_help = scene::EXAMPLES)]
     Scene(scene::Scene),
@@ -36,6 +41,7 @@ pub enum Verb {
 pub fn run(verb: &Verb) -> anyhow::Result<()> {
     match verb {
         Verb::Measure(options) => measure::run(options),
+        Verb::Cull(options) => cull::run(options),
         Verb::Scene(options) => scene::run(options),
         Verb::Serve(options) => serve::run(options),
         Verb::Swarm(options) => swarm::run(options),
@@ -53,4 +59,17 @@ pub fn demo() -> anyhow::Result<()> {
 fn print(text: &str) {
     let mut out = std::io::stdout().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}
+
+/// Two whole numbers with an x between them.
+fn pair(text: &str) -> Option<(u32, u32)> {
+    let (a, b) = text.split_once(['x', '×'])?;
+    Some((a.trim().parse().ok()?, b.trim().parse().ok()?))
+}
+
+/// The value of `--resolution`.
+fn resolution(text: &str) -> Result<Resolution, String> {
+    let size = pair(text).filter(|&(width, height)| (1..=8192).contains(&width) && (1..=8192).contains(&height));
+    let size = size.ok_or_else(|| "give width and height from 1 to 8192 pixels, as in 320x240".to_owned())?;
+    Ok(Resolution::new(size.0, size.1))
 }

@@ -1,0 +1,340 @@
+//! Which cullers are there, and with what settings can each run?
+//!
+//! A culler is one [`Entry`] of [`Registry::standard`]: its name, what can be chosen for it, and how it is made. A sweep is
+//! the product of what it can choose and what was asked for. What several settings share (a tessellation of a large scene
+//! takes seconds) is made once, by the [`Shop`].
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use eyeline_visibility::{
+    Budget, Cplp, CplpCuller, Culled, Culler, EyeRegion, FrustumBackface, Occlusion, OctreeRules, Scene, Scratch, View,
+    ZBuffer,
+};
+
+use super::picture::Layer;
+
+/// A culler under test, with all that it keeps from frame to frame.
+pub trait Candidate {
+    /// Culls a view, for every eye of the region.
+    fn cull(&mut self, view: &View, region: EyeRegion) -> Culled;
+
+    /// What the last cull knows to be hidden.
+    fn occlusion(&self) -> &dyn Occlusion;
+
+    /// z-tests of the last cull's queries, if it counts them. Drawing is counted by the report.
+    fn query_z_tests(&self) -> Option<u64> {
+        None
+    }
+
+    /// What the last cull can show of itself: the front, finished tiles.
+    fn layers(&self) -> Vec<Layer> {
+        Vec::new()
+    }
+}
+
+/// Any culler with a scratch of its own.
+pub struct WithScratch<C> {
+    culler: C,
+    scratch: Scratch,
+}
+
+impl<C> WithScratch<C> {
+    /// Gives a culler its scratch.
+    pub fn new(culler: C) -> WithScratch<C> {
+        WithScratch { culler, scratch: Scratch::default() }
+    }
+}
+
+impl<C: Culler> Candidate for WithScratch<C> {
+    fn cull(&mut self, view: &View, region: EyeRegion) -> Culled {
+        self.culler.cull(view, region, &mut self.scratch)
+    }
+
+    fn occlusion(&self) -> &dyn Occlusion {
+        self.scratch.occlusion()
+    }
+}
+
+/// What was chosen for a culler. `None` where it has no choice.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Setting {
+    /// Name of its [`Entry`].
+    pub culler: &'static str,
+    /// Name of a tessellation.
+    pub tessellation: Option<&'static str>,
+    /// Name of a query back end.
+    pub query: Option<&'static str>,
+    /// Triangles that PLP may draw by guess.
+    pub budget: Option<usize>,
+}
+
+impl Setting {
+    /// The setting for people, without what has no choice: `cplp · octree · sampled · 100`.
+    pub fn label(&self) -> String {
+        let parts = [Some(self.culler.to_owned()), self.tessellation.map(Into::into), self.query.map(Into::into)];
+        let parts = parts.into_iter().chain([self.budget.map(|budget| budget.to_string())]);
+        parts.flatten().collect::<Vec<String>>().join(" · ")
+    }
+}
+
+/// A culler that can be named.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    /// Its name on the command line and in rows.
+    pub name: &'static str,
+    /// What it is, in a phrase.
+    pub about: &'static str,
+    /// Whether it promises to lose nothing, so that a wrong pixel fails the run.
+    pub conservative: bool,
+    /// Tessellations that it can use, best first; empty if it has none.
+    pub tessellations: &'static [&'static str],
+    /// Query back ends that it can use, best first; empty if it has none.
+    pub queries: &'static [&'static str],
+    /// Whether it has a budget of triangles.
+    pub budgets: bool,
+    /// Makes it.
+    pub make: fn(&mut Shop, &Setting) -> Box<dyn Candidate>,
+}
+
+/// What cullers of one scene are made from; parts are made once.
+pub struct Shop {
+    scene: Arc<Scene>,
+    cplp: BTreeMap<&'static str, Arc<Cplp>>,
+}
+
+impl Shop {
+    /// A shop for a scene.
+    pub fn new(scene: Arc<Scene>) -> Shop {
+        Shop { scene, cplp: BTreeMap::new() }
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> Arc<Scene> {
+        self.scene.clone()
+    }
+
+    /// cPLP over the octree's cells.
+    pub fn octree(&mut self) -> Arc<Cplp> {
+        let Shop { scene, cplp } = self;
+        cplp.entry("octree").or_insert_with(|| Arc::new(Cplp::build(scene, OctreeRules::default()))).clone()
+    }
+}
+
+/// All cullers that can be named.
+#[derive(Clone, Debug)]
+pub struct Registry(Vec<Entry>);
+
+/// What was asked for, by name; an empty list takes each culler's best.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Sweep {
+    /// Cullers; empty or `all` for all.
+    pub cullers: Vec<String>,
+    /// Tessellations; `all` for all.
+    pub tessellations: Vec<String>,
+    /// Query back ends; `all` for all.
+    pub queries: Vec<String>,
+    /// Budgets in triangles.
+    pub budgets: Vec<usize>,
+}
+
+/// Why there is nothing to run.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SweepError {
+    /// No culler, tessellation or query of this name.
+    #[error("there is no {what} `{name}`; known: {known}")]
+    Unknown {
+        /// culler, tessellation or query.
+        what: &'static str,
+        /// What was asked for.
+        name: String,
+        /// All names.
+        known: String,
+    },
+    /// Every name is known, but no culler has them together.
+    #[error(
+        "none of the cullers {cullers} can use what was asked for; leave out --tessellation or --query, or name others"
+    )]
+    Nothing {
+        /// Their names.
+        cullers: String,
+    },
+}
+
+/// Stands for every name in a list.
+const ALL: &str = "all";
+
+impl Registry {
+    /// The cullers of `eyeline-visibility`.
+    pub fn standard() -> Registry {
+        Registry(vec![
+            Entry {
+                name: "zbuffer",
+                about: "everything, the baseline ZB",
+                conservative: true,
+                tessellations: &[],
+                queries: &[],
+                budgets: false,
+                make: |shop, _| Box::new(WithScratch::new(ZBuffer::new(shop.scene()))),
+            },
+            Entry {
+                name: "frustum-backface",
+                about: "what is in view and not turned away, the baseline VF-BF",
+                conservative: true,
+                tessellations: &[],
+                queries: &[],
+                budgets: false,
+                make: |shop, _| Box::new(WithScratch::new(FrustumBackface::new(shop.scene()))),
+            },
+            Entry {
+                name: "cplp",
+                about: "conservative PLP: cells of a tessellation from the eye outward, queried against what was drawn",
+                conservative: true,
+                tessellations: &["octree"],
+                queries: &["sampled"],
+                budgets: true,
+                make: |shop, setting| {
+                    let budget = setting.budget.map_or_else(Budget::default, |triangles| Budget { triangles });
+                    let cplp = shop.octree();
+                    Box::new(WithScratch::new(CplpCuller::new(shop.scene(), cplp, budget)))
+                },
+            },
+        ])
+    }
+
+    /// With one culler more, which replaces one of the same name.
+    pub fn with(mut self, entry: Entry) -> Registry {
+        self.0.retain(|known| known.name != entry.name);
+        self.0.push(entry);
+        self
+    }
+
+    /// All cullers.
+    pub fn entries(&self) -> &[Entry] {
+        &self.0
+    }
+
+    /// The culler of a name.
+    pub fn entry(&self, name: &str) -> Option<&Entry> {
+        self.0.iter().find(|entry| entry.name == name)
+    }
+
+    /// The known names, for messages and help.
+    pub fn names(&self) -> String {
+        self.0.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", ")
+    }
+
+    /// Every setting that was asked for and that a culler has, each once.
+    pub fn settings(&self, sweep: &Sweep) -> Result<Vec<Setting>, SweepError> {
+        let names: Vec<&'static str> = self.0.iter().map(|entry| entry.name).collect();
+        let cullers = chosen("culler", &sweep.cullers, &names)?.unwrap_or(names);
+        let union = |of: fn(&Entry) -> &'static [&'static str]| {
+            let mut names: Vec<_> = self.0.iter().flat_map(of).copied().collect();
+            names.sort_unstable();
+            names.dedup();
+            names
+        };
+        let tessellations = chosen("tessellation", &sweep.tessellations, &union(|entry| entry.tessellations))?;
+        let queries = chosen("query", &sweep.queries, &union(|entry| entry.queries))?;
+        let mut settings = Vec::new();
+        for culler in &cullers {
+            let Some(entry) = self.entry(culler) else { continue };
+            let budgets: Vec<Option<usize>> = match (entry.budgets, sweep.budgets.is_empty()) {
+                (false, _) => vec![None],
+                (true, true) => vec![Some(Budget::default().triangles)],
+                (true, false) => sweep.budgets.iter().copied().map(Some).collect(),
+            };
+            for &tessellation in &choices(entry.tessellations, tessellations.as_deref()) {
+                for &query in &choices(entry.queries, queries.as_deref()) {
+                    for &budget in &budgets {
+                        let setting = Setting { culler: entry.name, tessellation, query, budget };
+                        if !settings.contains(&setting) {
+                            settings.push(setting);
+                        }
+                    }
+                }
+            }
+        }
+        if settings.is_empty() {
+            return Err(SweepError::Nothing { cullers: cullers.join(", ") });
+        }
+        Ok(settings)
+    }
+}
+
+/// What of `known` was asked for; `None` if nothing was.
+fn chosen(
+    what: &'static str,
+    asked: &[String],
+    known: &[&'static str],
+) -> Result<Option<Vec<&'static str>>, SweepError> {
+    if asked.is_empty() {
+        return Ok(None);
+    }
+    let mut names = Vec::new();
+    for name in asked {
+        match known.iter().find(|known| **known == name.as_str()) {
+            Some(known) => names.push(*known),
+            None if name == ALL => names.extend(known),
+            None => return Err(SweepError::Unknown { what, name: name.clone(), known: known.join(", ") }),
+        }
+    }
+    Ok(Some(names))
+}
+
+/// What a culler runs with: what was asked for and it has, its best if nothing was asked for, and `None` if it has no
+/// choice at all.
+fn choices(has: &'static [&'static str], asked: Option<&[&'static str]>) -> Vec<Option<&'static str>> {
+    match asked {
+        _ if has.is_empty() => vec![None],
+        None => vec![Some(has[0])],
+        Some(asked) => has.iter().filter(|name| asked.contains(name)).copied().map(Some).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sweep(cullers: &[&str], tessellations: &[&str], queries: &[&str], budgets: &[usize]) -> Sweep {
+        let own = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+        let (cullers, tessellations, queries) = (own(cullers), own(tessellations), own(queries));
+        Sweep { cullers, tessellations, queries, budgets: budgets.to_vec() }
+    }
+
+    fn labels(registry: &Registry, sweep: &Sweep) -> Vec<String> {
+        registry.settings(sweep).unwrap().iter().map(Setting::label).collect()
+    }
+
+    #[test]
+    fn a_sweep_is_a_product_over_what_each_culler_can_choose() {
+        let registry = Registry::standard();
+        let best = ["zbuffer", "frustum-backface", "cplp · octree · sampled · 100"];
+        assert_eq!(labels(&registry, &sweep(&["all"], &[], &[], &[])), best);
+        assert_eq!(labels(&registry, &Sweep::default()), best);
+        assert_eq!(
+            labels(&registry, &sweep(&["cplp", "zbuffer", "cplp"], &["octree"], &["all"], &[0, 500, 0])),
+            ["cplp · octree · sampled · 0", "cplp · octree · sampled · 500", "zbuffer"]
+        );
+        let other = Entry { name: "other", tessellations: &["slabs", "octree"], ..registry.entries()[2] };
+        let registry = registry.with(other);
+        assert_eq!(
+            labels(&registry, &sweep(&["cplp", "other"], &["slabs"], &[], &[7])),
+            ["other · slabs · sampled · 7"]
+        );
+        assert_eq!(labels(&registry, &sweep(&["other"], &["all"], &[], &[7])).len(), 2);
+    }
+
+    #[test]
+    fn unknown_names_are_refused_with_the_known_ones() {
+        let registry = Registry::standard();
+        let message = |sweep: &Sweep| registry.settings(sweep).unwrap_err().to_string();
+        let text = message(&sweep(&["cplp", "plpp"], &[], &[], &[]));
+        assert!(text.contains("no culler `plpp`") && text.contains("zbuffer, frustum-backface, cplp"), "{text}");
+        assert!(message(&sweep(&[], &["bsp"], &[], &[])).contains("no tessellation `bsp`; known: octree"));
+        assert!(message(&sweep(&[], &[], &["gpu"], &[])).contains("no query `gpu`; known: sampled"));
+        let other = Entry { name: "other", tessellations: &["slabs"], ..registry.entries()[2] };
+        let error = Registry::standard().with(other).settings(&sweep(&["cplp"], &["slabs"], &[], &[])).unwrap_err();
+        assert!(error.to_string().contains("none of the cullers cplp"));
+    }
+}

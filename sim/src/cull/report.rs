@@ -1,0 +1,146 @@
+//! The report of a comparison of cullers: wrong pixels and ε_k against time first, then what was drawn, then pictures.
+
+use std::path::Path;
+
+use anyhow::Context;
+
+use super::row::columns;
+use super::run::{CullConfig, Outcome};
+use super::world::World;
+use crate::report::{Axis, Comparison, Picture, Plot, PlotKind, Point, Report, Run, Series};
+
+/// More pictures than these would make the page slow; the others are in the folder.
+const PICTURES_MAX: usize = 48;
+
+/// Puts rows and pictures into a report.
+///
+/// # Errors
+/// If a row is not flat; a fault of this program.
+pub fn report(run: Run, world: &World, outcome: &Outcome, config: &CullConfig) -> anyhow::Result<Report> {
+    let mut report = Report::new(run, columns());
+    report.run.notes.push(format!(
+        "world '{}': {} static triangles, {} objects asked about as boxes",
+        world.name,
+        world.scene.triangles().len(),
+        world.object_boxes.len()
+    ));
+    report.run.notes.extend(world.notes.iter().cloned());
+    report.run.notes.push(format!(
+        "frame_ms is the mean over views of the median of {} repeats; a max pass ran after each culled frame",
+        config.repeats
+    ));
+    if config.eye_radii.iter().any(|radius| *radius > 0.0) {
+        report.run.notes.push(format!(
+            "for an eye radius above 0 the exact set is the union over the middle and {} sampled eyes of the ball",
+            config.eyes.max(1) - 1
+        ));
+    }
+    for row in &outcome.rows {
+        report.push(row)?;
+    }
+    report.headline = headline(outcome);
+    let labels = ["culler", "tessellation", "query", "budget", "resolution", "eye_radius"];
+    report.compare(Comparison::new(&labels, "frame_ms", "wrong_pixels_mean").by_series("culler"));
+    let scatter = |title: &str, x: Axis, y: Axis, of: &dyn Fn(&super::CullRow) -> (f64, f64)| {
+        let mut plot = Plot::new(title, PlotKind::Scatter, x, y);
+        let mut names: Vec<&str> = outcome.rows.iter().map(|row| row.culler.as_str()).collect();
+        names.dedup();
+        names.sort_unstable();
+        names.dedup();
+        for name in names {
+            let rows = outcome.rows.iter().filter(|row| row.culler == name);
+            let point = |row: &super::CullRow| {
+                let (x, y) = of(row);
+                Point::labelled(x, y, label(row))
+            };
+            plot = plot.with_series(Series::new(name, rows.map(point).collect()));
+        }
+        plot
+    };
+    report.plots.push(scatter(
+        "Visible primitives found (ε_k) against run time",
+        Axis::log("frame_ms (ms)"),
+        Axis::linear("share of the exact set that was reported"),
+        &|row| (row.frame_ms, row.visible_found),
+    ));
+    report.plots.push(scatter(
+        "z-tests against time to cull and draw",
+        Axis::log("cull and draw (ms)"),
+        Axis::log("z-tests per pixel"),
+        &|row| (row.total_ms, row.z_tests_per_pixel),
+    ));
+    if config.eye_radii.len() > 1 {
+        report.plots.push(scatter(
+            "What a ball of eyes costs",
+            Axis::linear("eye radius (m)"),
+            Axis::log("frame_ms (ms)"),
+            &|row| (row.eye_radius, row.frame_ms),
+        ));
+    }
+    Ok(report)
+}
+
+/// What names a row in a plot.
+fn label(row: &super::CullRow) -> String {
+    let budget = row.budget.map(|budget| budget.to_string());
+    let parts = [Some(row.culler.clone()), row.tessellation.clone(), row.query.clone(), budget];
+    let mut label = parts.into_iter().flatten().collect::<Vec<String>>().join(" · ");
+    label += &format!(" · {}", row.resolution);
+    if row.eye_radius > 0.0 {
+        label += &format!(" · {} m", row.eye_radius);
+    }
+    label
+}
+
+/// Writes the pictures as PNG files into a folder and puts them into the report.
+///
+/// # Errors
+/// Names the file that cannot be written.
+pub fn write_pictures(report: &mut Report, outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot create folder {}", folder.display()))?;
+    for shown in &outcome.pictures {
+        let png = shown.picture.png();
+        if png.is_empty() {
+            continue;
+        }
+        let title = match &shown.setting {
+            Some(setting) => format!("{}: {}, view {}", setting.label(), shown.name, shown.view),
+            None => format!("{}, view {}", shown.name, shown.view),
+        };
+        // Names of settings are letters, digits and what separates them.
+        let plain: String = title.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
+        let parts: Vec<&str> = plain.split('-').filter(|part| !part.is_empty()).collect();
+        let path = folder.join(format!("{}.png", parts.join("-")));
+        std::fs::write(&path, &png).with_context(|| format!("cannot write {}", path.display()))?;
+        if report.pictures.len() < PICTURES_MAX {
+            report.pictures.push(Picture::new(title, &png));
+        }
+    }
+    Ok(())
+}
+
+/// What the rows say, in words.
+fn headline(outcome: &Outcome) -> String {
+    let broken: Vec<String> = outcome.rows.iter().filter(|row| !row.ok).map(label).collect();
+    let mut text = if broken.is_empty() {
+        "No conservative culler has a wrong pixel or lost a visible primitive.".to_owned()
+    } else {
+        format!(
+            "BROKEN: {} of {} rows promise to lose nothing and do: {}.",
+            broken.len(),
+            outcome.rows.len(),
+            broken.join("; ")
+        )
+    };
+    let fastest = outcome.rows.iter().filter(|row| row.ok).min_by(|a, b| a.total_ms.total_cmp(&b.total_ms));
+    if let Some(row) = fastest {
+        text += &format!(
+            " Fastest to cull and draw: {} with {:.3} + {:.3} ms a frame; culling takes {:.2} max passes.",
+            label(row),
+            row.frame_ms,
+            row.draw_ms,
+            row.per_max_pass
+        );
+    }
+    text
+}

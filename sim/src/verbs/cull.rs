@@ -1,0 +1,169 @@
+//! `cull`: cullers side by side, with the exact set and the clock beside them.
+
+// This is a driver: it may read the clock.
+#![expect(clippy::disallowed_methods)]
+
+use std::path::PathBuf;
+use std::time::{Instant, SystemTime};
+
+use clap::Args;
+use eyeline_server::app::number;
+use eyeline_sim::cull::report::{report, write_pictures};
+use eyeline_sim::cull::run::run as run_cullers;
+use eyeline_sim::cull::{CameraPath, CullConfig, Registry, Sweep, World, WorldRules, columns, row};
+use eyeline_sim::report::{Run, rfc3339, table};
+use eyeline_visibility::Resolution;
+
+use super::resolution;
+
+/// Options of `cull`.
+#[derive(Args)]
+pub struct Cull {
+    /// A .glb or .gltf, or a made world: building, office, tower or rooms. Cameras come from NAME.cameras.json beside a file,
+    /// or stand in the rooms of NAME.rooms.json, at the places of NAME.places.json, or on floors found with rays
+    #[arg(long, value_name = "FILE|NAME", default_value = "building")]
+    world: String,
+
+    /// Cullers to compare: all, or names; a wrong name lists them
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "all")]
+    cullers: Vec<String>,
+
+    /// Tessellations to sweep, all or names [default: each culler's best]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    tessellation: Vec<String>,
+
+    /// Query back ends to sweep, all or names [default: each culler's best]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    query: Vec<String>,
+
+    /// Budgets to sweep: triangles that PLP may draw by guess [default: 100]
+    #[arg(long, value_name = "TRIANGLES", value_delimiter = ',')]
+    budgets: Vec<usize>,
+
+    /// Sizes of the images to sweep, pixels
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_delimiter = ',', default_value = "512x512", value_parser = resolution)]
+    resolution: Vec<Resolution>,
+
+    /// Radii of the ball of eyes to sweep, metres; 0 is a point
+    #[arg(long, value_name = "METRES", value_delimiter = ',', default_value = "0", value_parser = number(0.0..=100.0, "m"))]
+    eye_radius: Vec<f64>,
+
+    /// Eyes of a ball whose exact sets are united, its middle included
+    #[arg(long, value_name = "N", default_value_t = 33, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    eyes: u32,
+
+    /// Views [default: the world's own cameras, else 200]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    views: Option<u32>,
+
+    /// Decides where cameras stand and the eyes of a ball
+    #[arg(long, value_name = "N", default_value_t = 7)]
+    seed: u64,
+
+    /// Seed of a made world [default: the maker's]
+    #[arg(long, value_name = "N")]
+    scene_seed: Option<u64>,
+
+    /// Pieces of furniture in each room of `building` [default: 8]
+    #[arg(long, value_name = "N")]
+    objects_per_room: Option<u32>,
+
+    /// Take nodes whose name begins so out of the static scene and ask about their boxes: `object.` in `building`
+    #[arg(long, value_name = "PREFIX")]
+    query_objects: Option<String>,
+
+    /// Draw both sides of every face, or only what materials say [default: as the world says]
+    #[arg(long, value_name = "BOOL")]
+    two_sided: Option<bool>,
+
+    /// Times that each view is culled against the clock; its time is their median
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=10_000))]
+    repeats: u32,
+
+    /// Write the camera path that was used
+    #[arg(long, value_name = "FILE.json")]
+    record: Option<PathBuf>,
+
+    /// Look along a recorded camera path instead
+    #[arg(long, value_name = "FILE.json")]
+    path: Option<PathBuf>,
+
+    /// Folder for report.html, report.json, report.csv and the pictures
+    #[arg(long, value_name = "DIR", default_value = "out/cull")]
+    out: PathBuf,
+}
+
+pub const EXAMPLES: &str = "Examples:
+  eyeline-sim cull --world oa_dm2.glb --cullers all --views 200 --seed 7 --resolution 512x512 --out out/dm2
+  eyeline-sim cull --world building --query-objects object. --resolution 1024x512      (the figures to beat)
+  eyeline-sim cull --world office --cullers frustum-backface,cplp --budgets 0,100,1000,10000
+  eyeline-sim cull --world building --eye-radius 0,0.1,0.3,1 --eyes 1000 --views 20
+  eyeline-sim cull --world rooms.glb --record walk.json; eyeline-sim cull --world rooms.glb --path walk.json
+
+Exits with 1, after writing the report, if a culler that promises to lose nothing has a wrong pixel or lost a primitive.";
+
+/// Runs, writes the report, and fails if a promise was broken.
+pub fn run(options: &Cull) -> anyhow::Result<()> {
+    let (began, started) = (Instant::now(), rfc3339(SystemTime::now()));
+    let registry = Registry::standard();
+    // Names first: a world may take long to load.
+    let settings = registry.settings(&Sweep {
+        cullers: options.cullers.clone(),
+        tessellations: options.tessellation.clone(),
+        queries: options.query.clone(),
+        budgets: options.budgets.clone(),
+    })?;
+    let replayed = options.path.as_deref().map(CameraPath::read).transpose()?;
+    let mut world = World::open(
+        &options.world,
+        &WorldRules {
+            query_objects: options.query_objects.clone(),
+            two_sided: options.two_sided,
+            scene_seed: options.scene_seed,
+            objects_per_room: options.objects_per_room,
+            views: options.views,
+        },
+    )?;
+    let path = match replayed {
+        Some(mut path) => {
+            path.cameras.truncate(options.views.map_or(usize::MAX, |views| views as usize));
+            path
+        }
+        None => world.cameras(options.views, options.seed),
+    };
+    if let Some(views) = options.views.filter(|views| path.cameras.len() < *views as usize) {
+        world.notes.push(format!("{} views instead of {views}: there are no more cameras", path.cameras.len()));
+    }
+    if let Some(file) = &options.record {
+        path.write(file)?;
+    }
+    let config = CullConfig {
+        settings,
+        resolutions: options.resolution.clone(),
+        eye_radii: options.eye_radius.clone(),
+        eyes: options.eyes as usize,
+        repeats: options.repeats as usize,
+        seed: options.seed,
+    };
+    let outcome = run_cullers(&world, &path, &config, &registry);
+    let mut run = Run::here("Eyeline cull", Some(options.seed), started);
+    run.wall_seconds = began.elapsed().as_secs_f64();
+    let mut report = report(run, &world, &outcome, &config)?;
+    write_pictures(&mut report, &outcome, &options.out)?;
+    let written = report.write(&options.out)?;
+    let short: Vec<_> = columns().into_iter().filter(|column| row::SHORT.contains(&column.key.as_str())).collect();
+    super::print(&format!(
+        "{}\n{}\nreport: {}\n",
+        table(report.rows(), &short),
+        report.headline,
+        written.html.display()
+    ));
+    let broken: Vec<&str> = outcome.rows.iter().filter(|row| !row.ok).map(|row| row.culler.as_str()).collect();
+    if !broken.is_empty() {
+        anyhow::bail!(
+            "{} promised to lose nothing; see wrong_pixels_max and lost_visible in the report",
+            broken.join(", ")
+        );
+    }
+    Ok(())
+}
