@@ -14,7 +14,7 @@ fn main() {
     divan::main();
 }
 
-#[divan::bench(args = ["zbuffer", "frustum-backface", "cplp"])]
+#[divan::bench(args = ["masked", "cplp", "hierarchical-z", "frustum-backface"])]
 fn frame(bencher: Bencher, culler: &str) {
     let objects = WorldRules { query_objects: Some("object.".into()), ..WorldRules::default() };
     let world = World::open("building", &objects).unwrap();

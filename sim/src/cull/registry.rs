@@ -8,8 +8,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Budget, Cplp, CplpCuller, Culled, Culler, EyeRegion, FrustumBackface, Occlusion, OctreeRules, Scene, Scratch, View,
-    ZBuffer,
+    Budget, Cplp, CplpCuller, CplpQueryCuller, Culled, Culler, EyeRegion, FrustumBackface, HierarchicalZ, KdRules,
+    KdTree, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules, QueryFrontToBack, QueryKind, RegionCuller, Scene,
+    Scratch, Tessellation, View, ZBuffer,
 };
 
 use super::picture::Layer;
@@ -100,13 +101,15 @@ pub struct Entry {
 /// What cullers of one scene are made from; parts are made once.
 pub struct Shop {
     scene: Arc<Scene>,
-    cplp: BTreeMap<&'static str, Arc<Cplp>>,
+    octree: Option<Arc<Octree>>,
+    kd_tree: Option<Arc<KdTree>>,
+    occluders: Option<Arc<Occluders>>,
 }
 
 impl Shop {
     /// A shop for a scene.
     pub fn new(scene: Arc<Scene>) -> Shop {
-        Shop { scene, cplp: BTreeMap::new() }
+        Shop { scene, octree: None, kd_tree: None, occluders: None }
     }
 
     /// The scene.
@@ -114,12 +117,39 @@ impl Shop {
         self.scene.clone()
     }
 
-    /// cPLP over the octree's cells.
-    pub fn octree(&mut self) -> Arc<Cplp> {
-        let Shop { scene, cplp } = self;
-        cplp.entry("octree").or_insert_with(|| Arc::new(Cplp::build(scene, OctreeRules::default()))).clone()
+    /// The octree.
+    pub fn octree(&mut self) -> Arc<Octree> {
+        self.octree.get_or_insert_with(|| Arc::new(Octree::build(&self.scene, OctreeRules::default()))).clone()
+    }
+
+    /// The tessellation that a setting names.
+    pub fn tessellation(&mut self, setting: &Setting) -> Arc<dyn Tessellation> {
+        match setting.tessellation {
+            Some(KD_TREE) => {
+                let kd_tree = &mut self.kd_tree;
+                kd_tree.get_or_insert_with(|| Arc::new(KdTree::build(&self.scene, KdRules::default()))).clone()
+            }
+            _ => self.octree(),
+        }
+    }
+
+    /// cPLP over the tessellation that a setting names.
+    pub fn cplp(&mut self, setting: &Setting) -> Arc<Cplp> {
+        Arc::new(Cplp::new(self.tessellation(setting)))
+    }
+
+    /// The polygons that under-estimating coverage draws.
+    pub fn occluders(&mut self) -> Arc<Occluders> {
+        self.occluders.get_or_insert_with(|| Arc::new(Occluders::build(&self.scene))).clone()
     }
 }
+
+/// Pixels of the image that `region` draws, whatever the picture's resolution.
+const REGION_PIXELS: u32 = 256 * 128;
+
+/// Names of tessellations.
+const OCTREE: &str = "octree";
+const KD_TREE: &str = "kd-tree";
 
 /// All cullers that can be named.
 #[derive(Clone, Debug)]
@@ -187,16 +217,74 @@ impl Registry {
                 make: |shop, _| Box::new(WithScratch::new(FrustumBackface::new(shop.scene()))),
             },
             Entry {
+                name: "masked",
+                about: "conservative PLP against coverage masks: faces of cells are asked about, then objects and clusters",
+                conservative: true,
+                tessellations: &[KD_TREE, OCTREE],
+                queries: &["masks"],
+                budgets: false,
+                make: |shop, setting| {
+                    let tessellation = shop.tessellation(setting);
+                    Box::new(WithScratch::new(MaskedCplp::new(shop.scene(), tessellation)))
+                },
+            },
+            Entry {
                 name: "cplp",
                 about: "conservative PLP: cells of a tessellation from the eye outward, queried against what was drawn",
                 conservative: true,
-                tessellations: &["octree"],
-                queries: &["sampled"],
+                tessellations: &[OCTREE, KD_TREE],
+                queries: &[
+                    "sampled",
+                    "item-buffer",
+                    "item-buffer-tiled",
+                    "histogram",
+                    "one-at-a-time",
+                    "per-fragment-histogram",
+                ],
                 budgets: true,
                 make: |shop, setting| {
                     let budget = setting.budget.map_or_else(Budget::default, |triangles| Budget { triangles });
-                    let cplp = shop.octree();
-                    Box::new(WithScratch::new(CplpCuller::new(shop.scene(), cplp, budget)))
+                    let (scene, cplp) = (shop.scene(), shop.cplp(setting));
+                    match QueryKind::ALL.into_iter().find(|kind| Some(kind.name()) == setting.query) {
+                        Some(kind) => Box::new(WithScratch::new(CplpQueryCuller::new(scene, cplp, budget, kind))),
+                        None => Box::new(WithScratch::new(CplpCuller::new(scene, cplp, budget))),
+                    }
+                },
+            },
+            Entry {
+                name: "query-front-to-back",
+                about: "cells in view by distance, one query each: the paper's HP baseline",
+                conservative: true,
+                tessellations: &[OCTREE, KD_TREE],
+                queries: &["sampled"],
+                budgets: false,
+                make: |shop, setting| {
+                    let tessellation = shop.tessellation(setting);
+                    Box::new(WithScratch::new(QueryFrontToBack::new(shop.scene(), tessellation)))
+                },
+            },
+            Entry {
+                name: "hierarchical-z",
+                about: "an octree against a pyramid of farthest depths (Greene)",
+                conservative: true,
+                tessellations: &[OCTREE],
+                queries: &["pyramid"],
+                budgets: false,
+                make: |shop, _| {
+                    let octree = shop.octree();
+                    Box::new(WithScratch::new(HierarchicalZ::new(shop.scene(), octree)))
+                },
+            },
+            Entry {
+                name: "region",
+                about: "for every eye of a ball and every resolution: under-estimating coverage with supporting planes",
+                conservative: true,
+                tessellations: &[OCTREE, KD_TREE],
+                queries: &["under"],
+                budgets: false,
+                make: |shop, setting| {
+                    let (cplp, occluders) = (shop.cplp(setting), shop.occluders());
+                    Box::new(WithScratch::new(RegionCuller::new(shop.scene(), cplp, occluders, REGION_PIXELS)))
                 },
             },
         ])
