@@ -133,6 +133,17 @@ fn summary() {
             ));
         }
         let all_walls = walls(150);
+        let mut farthest_first = all_walls.clone();
+        farthest_first.reverse();
+        let mut image = MaskedDepth::with_level(Coverage::Sampled, level);
+        runs.push((
+            format!("{name}: wall quads, farthest first"),
+            150.0,
+            Box::new(move || {
+                image.begin(&view());
+                farthest_first.iter().for_each(|corners| image.draw_polygon(black_box(corners), Sides::Both));
+            }),
+        ));
         let mut image = MaskedDepth::with_level(Coverage::Sampled, level);
         let drawn = all_walls.clone();
         runs.push((

@@ -7,6 +7,9 @@
 //!
 //! There are two kinds of [`Coverage`]. All levels of SIMD give the same bits.
 
+// `!(a > b)` where NaN must count as "no".
+#![allow(clippy::neg_cmp_op_on_partial_ord)]
+
 mod lanes;
 mod polygon;
 mod query;
