@@ -87,8 +87,11 @@ fn lattice(image: &mut MaskedDepth) {
     }
 }
 
+/// What runs, how many things it does in one run, and the run.
+type Run = (String, f64, Box<dyn FnMut()>);
+
 /// Nanoseconds of the fastest of many runs of each, taken in turns, and those of the pass.
-fn in_turns(runs: &mut [(String, f64, Box<dyn FnMut() + '_>)]) {
+fn in_turns(runs: &mut [Run]) {
     let mut depths = vec![0.0_f32; PIXELS];
     let other: Vec<f32> = (0..PIXELS).map(|i| (i % 977) as f32).collect();
     let mut pass = f64::INFINITY;
@@ -116,7 +119,7 @@ fn time(mut run: impl FnMut()) -> f64 {
 }
 
 fn summary() {
-    let mut runs: Vec<(String, f64, Box<dyn FnMut()>)> = Vec::new();
+    let mut runs: Vec<Run> = Vec::new();
     for (name, level) in levels() {
         let mut image = MaskedDepth::with_level(Coverage::Sampled, level);
         runs.push((format!("{name}: begin"), 1.0, Box::new(move || image.begin(black_box(&view())))));
@@ -133,6 +136,17 @@ fn summary() {
             ));
         }
         let all_walls = walls(150);
+        let mut farthest_first = all_walls.clone();
+        farthest_first.reverse();
+        let mut image = MaskedDepth::with_level(Coverage::Sampled, level);
+        runs.push((
+            format!("{name}: wall quads, farthest first"),
+            150.0,
+            Box::new(move || {
+                image.begin(&view());
+                farthest_first.iter().for_each(|corners| image.draw_polygon(black_box(corners), Sides::Both));
+            }),
+        ));
         let mut image = MaskedDepth::with_level(Coverage::Sampled, level);
         let drawn = all_walls.clone();
         runs.push((

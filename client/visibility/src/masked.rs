@@ -3,11 +3,15 @@
 //! A [`MaskedDepth`] is one image of one view. Occluders are convex polygons. It answers whether a box, a ball or a polygon may
 //! be seen past them, and errs only towards "seen". After Hasselgren, Andersson and Akenine-Möller, "Masked Software
 //! Occlusion Culling" (2016), with three differences: coverage is exact at pixel centres (see `polygon`), layers have planes as
-//! depths (`tiles`), and queries use silhouettes and front planes instead of rectangles and one depth (`query`).
+//! depths (`tiles`), and queries use silhouettes and front planes instead of rectangles and one depth (`query`, `outline`).
 //!
 //! There are two kinds of [`Coverage`]. All levels of SIMD give the same bits.
 
+// `!(a > b)` where NaN must count as "no".
+#![allow(clippy::neg_cmp_op_on_partial_ord)]
+
 mod lanes;
+mod outline;
 mod polygon;
 mod query;
 mod tiles;

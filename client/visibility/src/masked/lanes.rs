@@ -15,7 +15,7 @@ pub(super) const TILE_Y: usize = 8;
 pub(super) const LAST_X: f32 = TILE_X as f32 - 1.0;
 pub(super) const LAST_Y: f32 = TILE_Y as f32 - 1.0;
 
-/// Bounds the rounding of [`at_least`] and of evaluating a plane, relative to the sum of the plane's terms: fewer than 16
+/// Bounds the rounding of [`above`] and of evaluating a plane, relative to the sum of the plane's terms: fewer than 16
 /// roundings of 2⁻²⁴.
 pub(super) const ROUNDING: f32 = 1.0 / 1_048_576.0;
 
