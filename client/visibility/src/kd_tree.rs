@@ -20,7 +20,7 @@ use crate::{Aabb, CellId, Cells, Face, Neighbour, Scene, Tessellation};
 #[non_exhaustive]
 pub struct KdRules {
     /// A cell with more triangles is cut even where no wall is. Fewer: finer culling, more queries, and furniture splits
-    /// rooms. Default 512.
+    /// rooms. Default 256.
     pub max_triangles_per_leaf: usize,
     /// Greatest number of cuts above a cell. Default 40: a storey of 22 × 22 rooms needs about 20.
     pub max_depth: u32,
@@ -35,7 +35,7 @@ pub struct KdRules {
 
 impl Default for KdRules {
     fn default() -> KdRules {
-        KdRules { max_triangles_per_leaf: 512, max_depth: 40, min_obscuration: 0.4, skin: 0.01 }
+        KdRules { max_triangles_per_leaf: 256, max_depth: 40, min_obscuration: 0.4, skin: 0.01 }
     }
 }
 
@@ -99,6 +99,8 @@ struct Open {
     node: usize,
     depth: u32,
     primitives: Vec<u32>,
+    /// The cell as the last cut at a wall left it, before cuts for size.
+    room: Aabb,
     /// The most triangles that its leaves may list together: bounds the memory of any soup.
     references_max: usize,
 }
@@ -123,6 +125,10 @@ const SHARE_OF_WALLS: f64 = 0.7;
 /// The root box goes beyond the scene by a thousandth, and the outermost walls must be far enough inside it to be cut at.
 const SKIN_SHARE: f64 = 4e-4;
 
+/// In a part of a room, made by cuts for size, furniture looks as large as walls. A wall reaches along this share of
+/// the whole room in some direction.
+const SPAN_MIN: f64 = 0.6;
+
 /// Cuts tried per axis by the surface-area heuristic.
 const BINS: usize = 16;
 
@@ -135,8 +141,16 @@ struct Builder<'a> {
     rules: KdRules,
     /// Least distance of a cut from the faces of its cell.
     thickness: f64,
-    /// Reused for the walls of a cell: axis, coordinate, covered area.
-    candidates: Vec<(usize, f64, f64)>,
+    /// Reused for the walls of a cell.
+    candidates: Vec<Candidate>,
+}
+
+/// What one wall covers of a cell.
+struct Candidate {
+    axis: usize,
+    coordinate: f64,
+    area: f64,
+    aabb: Aabb,
 }
 
 impl KdTree {
@@ -157,11 +171,11 @@ impl KdTree {
         let mut stats = KdStats::default();
         let primitives: Vec<u32> = (0..scene.triangles().len() as u32).collect();
         let references_max = REFERENCES_PER_TRIANGLE * primitives.len() + REFERENCES_FREE;
-        let mut open = vec![Open { node: 0, depth: 0, primitives, references_max }];
-        while let Some(Open { node, depth, primitives, references_max }) = open.pop() {
+        let mut open = vec![Open { node: 0, depth: 0, primitives, room: root, references_max }];
+        while let Some(Open { node, depth, primitives, room, references_max }) = open.pop() {
             let aabb = nodes[node].aabb;
             stats.depth = stats.depth.max(depth);
-            let split = builder.cut(&aabb, depth, &primitives).and_then(|cut| {
+            let split = builder.cut(&aabb, &room, depth, &primitives).and_then(|cut| {
                 let (mut lower, mut upper) = (aabb, aabb);
                 lower.max[cut.axis] = cut.plane;
                 upper.min[cut.axis] = cut.plane;
@@ -183,7 +197,8 @@ impl KdTree {
             for (i, primitives) in parts.into_iter().enumerate().rev() {
                 let share = (references_max as f64 * primitives.len() as f64 / count) as usize;
                 let references_max = share.max(primitives.len());
-                open.push(Open { node: first + i, depth: depth + 1, primitives, references_max });
+                let room = if cut.wall { boxes[i] } else { room };
+                open.push(Open { node: first + i, depth: depth + 1, primitives, room, references_max });
             }
         }
         link(&nodes, &mut cells);
@@ -237,35 +252,42 @@ impl Builder<'_> {
     }
 
     /// Where to cut a cell, or `None` to leave it whole.
-    fn cut(&mut self, aabb: &Aabb, depth: u32, primitives: &[u32]) -> Option<Cut> {
+    fn cut(&mut self, aabb: &Aabb, room: &Aabb, depth: u32, primitives: &[u32]) -> Option<Cut> {
         if depth >= self.rules.max_depth.min(60) {
             return None;
         }
-        self.wall_cut(aabb, primitives).or_else(|| self.size_cut(aabb, primitives))
+        self.wall_cut(aabb, room, primitives).or_else(|| self.size_cut(aabb, primitives))
     }
 
-    /// The plane of the walls that cover most of the cell, balanced by where it is: of many like walls the middle one keeps
-    /// the tree low.
-    fn wall_cut(&mut self, aabb: &Aabb, primitives: &[u32]) -> Option<Cut> {
+    /// The plane of the walls that cover most of the cell, weighted by two things. Of many like walls the middle one keeps the
+    /// tree low. And a long cell is cut across first, or a storey's floor would become one cell that all rooms border on.
+    fn wall_cut(&mut self, aabb: &Aabb, room: &Aabb, primitives: &[u32]) -> Option<Cut> {
         self.candidates.clear();
         for &id in primitives {
             let Some(wall) = &self.walls[id as usize] else { continue };
-            let [low, high] = [aabb.min[wall.axis] + self.thickness, aabb.max[wall.axis] - self.thickness];
-            if (low..=high).contains(&wall.coordinate) {
-                self.candidates.push((wall.axis, wall.coordinate, wall.area_in(aabb)));
+            let (axis, coordinate) = (wall.axis, wall.coordinate);
+            let [low, high] = [aabb.min[axis] + self.thickness, aabb.max[axis] - self.thickness];
+            if (low..=high).contains(&coordinate) {
+                let aabb_of_wall = self.scene.triangles()[id as usize].aabb();
+                self.candidates.push(Candidate { axis, coordinate, area: wall.area_in(aabb), aabb: aabb_of_wall });
             }
         }
-        self.candidates.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        let size = aabb.size();
+        self.candidates.sort_unstable_by(|a, b| a.axis.cmp(&b.axis).then(a.coordinate.total_cmp(&b.coordinate)));
+        let (size, longest) = (aabb.size(), aabb.size().max_element());
         let mut best = (0.0, None);
-        for plane in self.candidates.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-            let (axis, coordinate, _) = plane[0];
-            let covered: f64 = plane.iter().map(|candidate| candidate.2).sum();
+        for plane in self.candidates.chunk_by(|a, b| (a.axis, a.coordinate) == (b.axis, b.coordinate)) {
+            let Candidate { axis, coordinate, .. } = plane[0];
+            let covered: f64 = plane.iter().map(|candidate| candidate.area).sum();
             // Walls that lie on each other count twice; no more than everything can be covered.
             let obscuration = (covered / (size[(axis + 1) % 3] * size[(axis + 2) % 3])).min(1.0);
             let at = (coordinate - aabb.min[axis]) / size[axis];
-            let score = obscuration * (1.0 + at.min(1.0 - at));
-            if obscuration >= self.rules.min_obscuration && score > best.0 {
+            let score = obscuration * (1.0 + at.min(1.0 - at)) * size[axis] / longest;
+            if obscuration < self.rules.min_obscuration || score <= best.0 {
+                continue;
+            }
+            let span =
+                plane.iter().fold(Aabb::EMPTY, |span, candidate| span.union(&candidate.aabb)).size() / room.size();
+            if room == aabb || span[(axis + 1) % 3].max(span[(axis + 2) % 3]) >= SPAN_MIN {
                 best = (score, Some(Cut { axis, plane: coordinate, wall: true }));
             }
         }
@@ -437,7 +459,7 @@ mod tests {
                 assert!((cell.min - room.min).abs().max_element() < 1e-6, "{cell:?}");
                 assert!((cell.max - room.max).abs().max_element() < 1e-6, "{cell:?}");
             }
-            assert!(tree.cell_count() < 60, "{}", tree.cell_count());
+            assert!(tree.cell_count() < 80, "{}", tree.cell_count());
         }
     }
 
