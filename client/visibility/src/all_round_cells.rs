@@ -28,7 +28,15 @@ pub struct AllRoundCellsScratch {
 impl AllRoundCells {
     /// Prepares a scene.
     pub fn new(scene: Arc<Scene>, rules: OctreeRules) -> AllRoundCells {
-        AllRoundCells { occluders: Arc::new(Occluders::build(&scene)), cplp: Cplp::build(&scene, rules), scene }
+        let cplp = Cplp::build(&scene, rules);
+        AllRoundCells::with_cells(scene, cplp)
+    }
+
+    /// Prepares a scene with cells that were made for it. Sealed faces are believed here as rays meet them: what a camera
+    /// shows through a crack between two walls, which is none to a ray, is not looked for behind them.
+    pub fn with_cells(scene: Arc<Scene>, cplp: Cplp) -> AllRoundCells {
+        assert_eq!(scene.triangles().len(), cplp.tessellation().primitive_total(), "the cells are another scene's");
+        AllRoundCells { occluders: Arc::new(Occluders::build(&scene)), cplp, scene }
     }
 
     /// Scratch for one worker, with cube faces of `side` pixels.

@@ -547,6 +547,28 @@ mod tests {
     }
 
     #[test]
+    fn recorded_fronts_are_those_that_were_asked_about() {
+        let scene = field(20);
+        let cplp = cplp(&scene);
+        let mut scratch = CplpScratch::default();
+        let eye = EyeRegion::point(DVec3::new(2.1, 0.1, 2.1));
+        let near = |aabb: &Aabb| aabb.distance(eye.centre) < 6.0;
+        let done = cplp.traverse(&scene, eye, NO_GUESS, &mut probe(near), &mut scratch);
+        assert_eq!(scratch.fronts().len(), 0);
+        assert_eq!(scratch.projected().len(), done.cells_projected);
+        scratch.record_fronts(true);
+        for _ in 0..2 {
+            assert_eq!(cplp.traverse(&scene, eye, NO_GUESS, &mut probe(near), &mut scratch), done);
+            assert_eq!(scratch.fronts().len(), done.rounds + 1);
+            assert_eq!(scratch.fronts().map(<[CellId]>::len).sum::<usize>(), done.queries);
+            let mut asked: Vec<CellId> = scratch.fronts().flatten().copied().collect();
+            // What is projected was asked about first, or is where the eye is.
+            asked.push(cplp.tessellation().cell_at(eye.centre).unwrap());
+            assert!(scratch.projected().iter().all(|cell| asked.contains(cell)));
+        }
+    }
+
+    #[test]
     fn a_ball_of_eyes_seeds_all_cells_in_reach() {
         let scene = field(20);
         let cplp = cplp(&scene);

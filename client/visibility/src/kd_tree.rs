@@ -20,7 +20,7 @@ use crate::{Aabb, CellId, Cells, Face, Neighbour, Scene, Tessellation};
 #[non_exhaustive]
 pub struct KdRules {
     /// A cell with more triangles is cut even where no wall is. Fewer: finer culling, more queries, and furniture splits
-    /// rooms. Default 512.
+    /// rooms. Default 256.
     pub max_triangles_per_leaf: usize,
     /// Greatest number of cuts above a cell. Default 40: a storey of 22 × 22 rooms needs about 20.
     pub max_depth: u32,
@@ -35,7 +35,7 @@ pub struct KdRules {
 
 impl Default for KdRules {
     fn default() -> KdRules {
-        KdRules { max_triangles_per_leaf: 512, max_depth: 40, min_obscuration: 0.4, skin: 0.01 }
+        KdRules { max_triangles_per_leaf: 256, max_depth: 40, min_obscuration: 0.4, skin: 0.01 }
     }
 }
 
@@ -99,6 +99,10 @@ struct Open {
     node: usize,
     depth: u32,
     primitives: Vec<u32>,
+    /// The faces that lie in walls: a bit for each of [`Face::ALL`].
+    walls: u8,
+    /// The cell as the last cut at a wall left it, if that closed it with walls on [`ROOM_FACES`] sides.
+    room: Option<Aabb>,
     /// The most triangles that its leaves may list together: bounds the memory of any soup.
     references_max: usize,
 }
@@ -123,6 +127,13 @@ const SHARE_OF_WALLS: f64 = 0.7;
 /// The root box goes beyond the scene by a thousandth, and the outermost walls must be far enough inside it to be cut at.
 const SKIN_SHARE: f64 = 4e-4;
 
+/// In a part of a room, made by cuts for size, furniture looks as large as walls. A wall reaches along this share of
+/// the whole room in some direction.
+const SPAN_MIN: f64 = 0.6;
+
+/// Faces in walls that make a room of a cell. A yard or a storey has fewer, until its rooms are cut.
+const ROOM_FACES: u32 = 4;
+
 /// Cuts tried per axis by the surface-area heuristic.
 const BINS: usize = 16;
 
@@ -135,8 +146,16 @@ struct Builder<'a> {
     rules: KdRules,
     /// Least distance of a cut from the faces of its cell.
     thickness: f64,
-    /// Reused for the walls of a cell: axis, coordinate, covered area.
-    candidates: Vec<(usize, f64, f64)>,
+    /// Reused for the walls of a cell.
+    candidates: Vec<Candidate>,
+}
+
+/// What one wall covers of a cell.
+struct Candidate {
+    axis: usize,
+    coordinate: f64,
+    area: f64,
+    aabb: Aabb,
 }
 
 impl KdTree {
@@ -157,11 +176,11 @@ impl KdTree {
         let mut stats = KdStats::default();
         let primitives: Vec<u32> = (0..scene.triangles().len() as u32).collect();
         let references_max = REFERENCES_PER_TRIANGLE * primitives.len() + REFERENCES_FREE;
-        let mut open = vec![Open { node: 0, depth: 0, primitives, references_max }];
-        while let Some(Open { node, depth, primitives, references_max }) = open.pop() {
+        let mut open = vec![Open { node: 0, depth: 0, primitives, walls: 0, room: None, references_max }];
+        while let Some(Open { node, depth, primitives, walls, room, references_max }) = open.pop() {
             let aabb = nodes[node].aabb;
             stats.depth = stats.depth.max(depth);
-            let split = builder.cut(&aabb, depth, &primitives).and_then(|cut| {
+            let split = builder.cut(&aabb, room.as_ref(), depth, &primitives).and_then(|cut| {
                 let (mut lower, mut upper) = (aabb, aabb);
                 lower.max[cut.axis] = cut.plane;
                 upper.min[cut.axis] = cut.plane;
@@ -183,7 +202,11 @@ impl KdTree {
             for (i, primitives) in parts.into_iter().enumerate().rev() {
                 let share = (references_max as f64 * primitives.len() as f64 / count) as usize;
                 let references_max = share.max(primitives.len());
-                open.push(Open { node: first + i, depth: depth + 1, primitives, references_max });
+                // The lower part gets its greater face from the cut, the upper one its lesser.
+                let face = 1 << (2 * cut.axis + 1 - i);
+                let walls = if cut.wall { walls | face } else { walls & !face };
+                let room = if cut.wall { (walls.count_ones() >= ROOM_FACES).then_some(boxes[i]) } else { room };
+                open.push(Open { node: first + i, depth: depth + 1, primitives, walls, room, references_max });
             }
         }
         link(&nodes, &mut cells);
@@ -237,35 +260,45 @@ impl Builder<'_> {
     }
 
     /// Where to cut a cell, or `None` to leave it whole.
-    fn cut(&mut self, aabb: &Aabb, depth: u32, primitives: &[u32]) -> Option<Cut> {
+    fn cut(&mut self, aabb: &Aabb, room: Option<&Aabb>, depth: u32, primitives: &[u32]) -> Option<Cut> {
         if depth >= self.rules.max_depth.min(60) {
             return None;
         }
-        self.wall_cut(aabb, primitives).or_else(|| self.size_cut(aabb, primitives))
+        self.wall_cut(aabb, room, primitives).or_else(|| self.size_cut(aabb, primitives))
     }
 
-    /// The plane of the walls that cover most of the cell, balanced by where it is: of many like walls the middle one keeps
-    /// the tree low.
-    fn wall_cut(&mut self, aabb: &Aabb, primitives: &[u32]) -> Option<Cut> {
+    /// The plane of the walls that cover most of the cell, weighted by two things. Of many like walls the middle one keeps the
+    /// tree low. And a long cell is cut across first, or a storey's floor would become one cell that all rooms border on.
+    fn wall_cut(&mut self, aabb: &Aabb, room: Option<&Aabb>, primitives: &[u32]) -> Option<Cut> {
         self.candidates.clear();
         for &id in primitives {
             let Some(wall) = &self.walls[id as usize] else { continue };
-            let [low, high] = [aabb.min[wall.axis] + self.thickness, aabb.max[wall.axis] - self.thickness];
-            if (low..=high).contains(&wall.coordinate) {
-                self.candidates.push((wall.axis, wall.coordinate, wall.area_in(aabb)));
+            let (axis, coordinate) = (wall.axis, wall.coordinate);
+            let [low, high] = [aabb.min[axis] + self.thickness, aabb.max[axis] - self.thickness];
+            if (low..=high).contains(&coordinate) {
+                let aabb_of_wall = self.scene.triangles()[id as usize].aabb();
+                self.candidates.push(Candidate { axis, coordinate, area: wall.area_in(aabb), aabb: aabb_of_wall });
             }
         }
-        self.candidates.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        let size = aabb.size();
+        self.candidates.sort_unstable_by(|a, b| a.axis.cmp(&b.axis).then(a.coordinate.total_cmp(&b.coordinate)));
+        let (size, longest) = (aabb.size(), aabb.size().max_element());
         let mut best = (0.0, None);
-        for plane in self.candidates.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-            let (axis, coordinate, _) = plane[0];
-            let covered: f64 = plane.iter().map(|candidate| candidate.2).sum();
+        for plane in self.candidates.chunk_by(|a, b| (a.axis, a.coordinate) == (b.axis, b.coordinate)) {
+            let Candidate { axis, coordinate, .. } = plane[0];
+            let covered: f64 = plane.iter().map(|candidate| candidate.area).sum();
             // Walls that lie on each other count twice; no more than everything can be covered.
             let obscuration = (covered / (size[(axis + 1) % 3] * size[(axis + 2) % 3])).min(1.0);
             let at = (coordinate - aabb.min[axis]) / size[axis];
-            let score = obscuration * (1.0 + at.min(1.0 - at));
-            if obscuration >= self.rules.min_obscuration && score > best.0 {
+            let score = obscuration * (1.0 + at.min(1.0 - at)) * size[axis] / longest;
+            if obscuration < self.rules.min_obscuration || score <= best.0 {
+                continue;
+            }
+            let spans = |room: &Aabb| {
+                let walls = plane.iter().fold(Aabb::EMPTY, |walls, candidate| walls.union(&candidate.aabb));
+                let span = walls.size() / room.size();
+                span[(axis + 1) % 3].max(span[(axis + 2) % 3]) >= SPAN_MIN
+            };
+            if room.is_none_or(|room| room == aabb || spans(room)) {
                 best = (score, Some(Cut { axis, plane: coordinate, wall: true }));
             }
         }
@@ -345,150 +378,4 @@ fn link(nodes: &[Node], cells: &mut Cells) {
 }
 
 #[cfg(test)]
-mod tests {
-    use glam::Vec3;
-
-    use super::*;
-    use crate::tessellation::laws::{
-        check, check_cells_within, check_points_of_triangles_are_listed, poor_scenes, soup,
-    };
-    use crate::{Sides, Triangle};
-
-    fn small_cells() -> KdRules {
-        KdRules::default().with_max_triangles_per_leaf(8)
-    }
-
-    /// The twelve triangles of a solid box.
-    fn add_box(triangles: &mut Vec<Triangle>, min: [f32; 3], max: [f32; 3]) {
-        let corner =
-            |i: usize| Vec3::from_array(std::array::from_fn(|a| if i >> a & 1 == 0 { min[a] } else { max[a] }));
-        for [a, b, c, d] in [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]] {
-            for corners in [[a, b, c], [a, c, d]] {
-                triangles.push(Triangle { corners: corners.map(corner), sides: Sides::Both, occludes: true });
-            }
-        }
-    }
-
-    /// Two rooms of 6 × 6 × 3 m beside each other along x, with a wall of 0.2 m between, a door in it, and a cupboard.
-    fn two_rooms(furnished: bool) -> Scene {
-        let mut triangles = Vec::new();
-        let mut solid = |min, max| add_box(&mut triangles, min, max);
-        solid([-0.2, -0.2, -0.2], [12.4, 0.0, 6.2]);
-        solid([-0.2, 3.0, -0.2], [12.4, 3.2, 6.2]);
-        for x in [-0.2, 12.2] {
-            solid([x, 0.0, -0.2], [x + 0.2, 3.0, 6.2]);
-        }
-        for z in [-0.2, 6.0] {
-            solid([0.0, 0.0, z], [12.2, 3.0, z + 0.2]);
-        }
-        solid([6.0, 0.0, 0.0], [6.2, 3.0, 2.0]);
-        solid([6.0, 2.1, 2.0], [6.2, 3.0, 3.0]);
-        solid([6.0, 0.0, 3.0], [6.2, 3.0, 6.0]);
-        if furnished {
-            solid([2.0, 0.0, 2.0], [2.8, 2.0, 2.5]);
-        }
-        Scene::from_triangles(triangles)
-    }
-
-    #[test]
-    fn cells_fill_the_root_and_know_their_neighbours() {
-        for seed in 0..4 {
-            let scene = soup(seed, 300);
-            let tree = KdTree::build(&scene, small_cells());
-            assert!(tree.cell_count() > 20);
-            check(&scene, &tree);
-            assert!(check_cells_within(&tree, tree.root().centre(), 3.0) > 1);
-        }
-    }
-
-    #[test]
-    fn every_point_of_a_triangle_lies_in_cells_that_list_it_and_so_does_every_point_within_the_skin() {
-        let scene = soup(7, 300);
-        check_points_of_triangles_are_listed(&scene, &KdTree::build(&scene, small_cells()), 8);
-        let rooms = two_rooms(true);
-        check_points_of_triangles_are_listed(&rooms, &KdTree::build(&rooms, small_cells()), 9);
-    }
-
-    #[test]
-    fn degenerate_scenes_have_cells_too() {
-        for scene in poor_scenes() {
-            for rules in [
-                small_cells(),
-                KdRules::default().with_min_obscuration(0.0).with_skin(-1.0),
-                small_cells().with_skin(f64::INFINITY),
-            ] {
-                let tree = KdTree::build(&scene, rules);
-                check(&scene, &tree);
-                assert!(tree.cells().reference_count() >= scene.triangles().len());
-            }
-        }
-    }
-
-    #[test]
-    fn a_room_is_a_cell_with_or_without_furniture() {
-        for furnished in [false, true] {
-            let scene = two_rooms(furnished);
-            let tree = KdTree::build(&scene, KdRules::default());
-            check(&scene, &tree);
-            for x in [0.0_f64, 6.2] {
-                let cell = tree.cell(tree.cell_at(DVec3::new(x + 1.0, 1.0, 1.0)).unwrap());
-                // Wall coordinates are f32.
-                let room = Aabb::new(DVec3::new(x, 0.0, 0.0), DVec3::new(x + 6.0, 3.0, 6.0));
-                assert!((cell.min - room.min).abs().max_element() < 1e-6, "{cell:?}");
-                assert!((cell.max - room.max).abs().max_element() < 1e-6, "{cell:?}");
-            }
-            assert!(tree.cell_count() < 60, "{}", tree.cell_count());
-        }
-    }
-
-    #[test]
-    fn a_room_leads_on_through_its_door_only() {
-        let tree = KdTree::build(&two_rooms(true), KdRules::default());
-        let room = tree.cell_at(DVec3::new(1.0, 1.0, 1.0)).unwrap();
-        let open: Vec<&Neighbour> = tree.neighbours(room).iter().filter(|n| !n.is_sealed()).collect();
-        assert_eq!(open.len(), 1, "{open:?}");
-        let door = tree.cells().shared(room, open[0]);
-        assert!((door.min - DVec3::new(6.0, 0.0, 2.0)).abs().max_element() < 1e-6, "{door:?}");
-        assert!((door.max - DVec3::new(6.0, 2.1, 3.0)).abs().max_element() < 1e-6, "{door:?}");
-        // The opening leads to both rooms, and nowhere else.
-        let beyond = tree.neighbours(open[0].cell).iter().filter(|n| !n.is_sealed()).count();
-        assert_eq!(beyond, 2);
-    }
-
-    #[test]
-    fn soups_do_not_blow_up() {
-        // Long thin triangles through everything: the worst for any cut.
-        let mut triangles = soup(3, 4000).triangles().to_vec();
-        for (i, triangle) in triangles.iter_mut().enumerate() {
-            triangle.corners[1] = Vec3::from_array(std::array::from_fn(|axis| ((i * (axis + 7)) % 21) as f32 - 10.0));
-        }
-        let scene = Scene::from_triangles(triangles);
-        let tree = KdTree::build(&scene, KdRules::default().with_max_triangles_per_leaf(1));
-        assert!(tree.cells().reference_count() <= REFERENCES_PER_TRIANGLE * 4000 + REFERENCES_FREE);
-        assert_eq!(tree.stats().wall_cuts, 0);
-    }
-
-    #[test]
-    fn walls_that_cross_everywhere_do_not_blow_up() {
-        let mut triangles = Vec::new();
-        for i in 0..300_u32 {
-            let at = (i * 61 % 300) as f32 / 30.0;
-            let axis = (i % 3) as usize;
-            let corner = |u: f32, v: f32| {
-                let mut corner = Vec3::splat(at);
-                corner[(axis + 1) % 3] = u;
-                corner[(axis + 2) % 3] = v;
-                corner
-            };
-            for corners in
-                [[corner(0., 0.), corner(10., 0.), corner(10., 9.)], [corner(0., 0.), corner(10., 9.), corner(0., 9.)]]
-            {
-                triangles.push(Triangle { corners, sides: Sides::Both, occludes: true });
-            }
-        }
-        let scene = Scene::from_triangles(triangles);
-        let tree = KdTree::build(&scene, KdRules::default());
-        assert!(tree.stats().wall_cuts > 1000);
-        assert!(tree.cells().reference_count() <= REFERENCES_PER_TRIANGLE * 600 + REFERENCES_FREE);
-    }
-}
+mod tests;

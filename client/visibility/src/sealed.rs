@@ -73,12 +73,15 @@ impl Wall {
     /// Area of the part in a box, whatever the box's extent along the wall's axis.
     pub(crate) fn area_in(&self, aabb: &Aabb) -> f64 {
         let (min, max) = (flat(aabb.min, self.axis), flat(aabb.max, self.axis));
-        let mut polygon = self.corners.to_vec();
-        if polygon.iter().any(|corner| corner.cmplt(min).any() || corner.cmpgt(max).any()) {
-            for axis in 0..2 {
-                polygon = clip(&polygon, |corner| corner[axis] - min[axis]);
-                polygon = clip(&polygon, |corner| max[axis] - corner[axis]);
-            }
+        let [a, b, c] = self.corners;
+        if min.cmple(a.min(b).min(c)).all() && a.max(b).max(c).cmple(max).all() {
+            return turn(self.corners) * 0.5;
+        }
+        let (mut polygon, mut cut) = (Vec::with_capacity(8), Vec::with_capacity(8));
+        polygon.extend(self.corners);
+        for axis in 0..2 {
+            clip(&polygon, &mut cut, |corner| corner[axis] - min[axis]);
+            clip(&cut, &mut polygon, |corner| max[axis] - corner[axis]);
         }
         (2..polygon.len()).map(|i| turn([polygon[0], polygon[i - 1], polygon[i]])).sum::<f64>() * 0.5
     }
@@ -116,8 +119,8 @@ fn turn([a, b, c]: [DVec2; 3]) -> f64 {
     (b - a).perp_dot(c - a)
 }
 
-fn clip(polygon: &[DVec2], height: impl Fn(DVec2) -> f64) -> Vec<DVec2> {
-    let mut kept = Vec::with_capacity(polygon.len() + 1);
+fn clip(polygon: &[DVec2], kept: &mut Vec<DVec2>, height: impl Fn(DVec2) -> f64) {
+    kept.clear();
     for (i, &here) in polygon.iter().enumerate() {
         let next = polygon[(i + 1) % polygon.len()];
         let (h, n) = (height(here), height(next));
@@ -128,7 +131,6 @@ fn clip(polygon: &[DVec2], height: impl Fn(DVec2) -> f64) -> Vec<DVec2> {
             kept.push(here.lerp(next, h / (h - n)));
         }
     }
-    kept
 }
 
 #[derive(Clone, Copy, Debug)]

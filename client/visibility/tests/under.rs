@@ -5,8 +5,8 @@ mod under_support;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, AllRound, AllRoundCells, Bound, EyeRegion, Occluders, Occlusion, OctreeRules, RegionError, Resolution, Scene,
-    Sides, Target, Triangle, UnderOcclusion, View,
+    Aabb, AllRound, AllRoundCells, Bound, Cplp, EyeRegion, KdRules, KdTree, Occluders, Occlusion, OctreeRules,
+    RegionError, Resolution, Scene, Sides, Target, Triangle, UnderOcclusion, View,
 };
 use glam::{DQuat, DVec3, Vec3};
 use proptest::prelude::*;
@@ -454,20 +454,30 @@ fn most_of_what_is_hidden_is_recognised() {
 
 #[test]
 fn cells_hide_only_what_is_hidden_and_find_every_visible_primitive() {
-    let mut rng = Pcg64::seed_from_u64(10);
-    let scene = Arc::new(rooms(4, Corners::Abut, Sides::Both, 0.0, &mut rng));
-    let rays = Rays::new(&scene);
-    let all_round = AllRoundCells::new(Arc::clone(&scene), OctreeRules::default());
+    let scene = Arc::new(rooms(4, Corners::Abut, Sides::Both, 0.0, &mut Pcg64::seed_from_u64(10)));
+    let tree = KdTree::build(&scene, KdRules::default().with_max_triangles_per_leaf(64));
+    assert!(tree.stats().sealed > 50);
+    for all_round in [
+        AllRoundCells::new(Arc::clone(&scene), OctreeRules::default()),
+        AllRoundCells::with_cells(Arc::clone(&scene), Cplp::new(Arc::new(tree))),
+    ] {
+        check_cells(&scene, &all_round);
+    }
+}
+
+fn check_cells(scene: &Arc<Scene>, all_round: &AllRoundCells) {
+    let mut rng = Pcg64::seed_from_u64(11);
+    let rays = Rays::new(scene);
     let mut scratch = all_round.scratch(64);
     let (mut hidden, mut most) = (0, 0);
     for _ in 0..10 {
         let eye = random_eye(4, 0.0, &mut rng);
         let occlusion = all_round.cull(EyeRegion::point(eye), &mut scratch).unwrap();
         for _ in 0..60 {
-            let bound = random_bound(&scene, &mut rng);
+            let bound = random_bound(scene, &mut rng);
             if occlusion.hides(&bound) {
                 hidden += 1;
-                assert_hidden(&scene, &rays, eye, &bound, 100, &mut rng);
+                assert_hidden(scene, &rays, eye, &bound, 100, &mut rng);
             }
         }
         let visible = scratch.visible();
@@ -484,6 +494,7 @@ fn cells_hide_only_what_is_hidden_and_find_every_visible_primitive() {
             }
         }
     }
+    println!("{hidden} hidden, at most {most} of {} visible", scene.triangles().len());
     assert!(hidden > 200 && most < scene.triangles().len() / 2, "{hidden} hidden, at most {most} visible");
 }
 
