@@ -40,7 +40,8 @@ const SLOPE_MIN: f64 = 1e-3;
 /// An edge may end this far behind the polygon that closes it: as walls do that run into each other.
 const SUNK_MAX: f64 = 0.35;
 
-/// More closers per edge are not kept. Which are best is a guess: those with the greatest common stretch.
+/// More closers per edge are not kept. Which are best is a guess: those with the greatest common stretch, and of equals the
+/// wide ones, whose own open edges are farther away.
 const PER_EDGE_MAX: usize = 3;
 
 /// The closers of each polygon in order of edge, best first.
@@ -102,7 +103,7 @@ fn relate(occluders: &Occluders, closed: u32, closer: u32, found: &mut Vec<(f64,
         let size = (from - origin).abs().element_sum() + (to - from).abs().element_sum();
         let height = if height.abs() <= EXACT * size { 0.0 } else { height };
         // Sunk on the one side is short of the plane on the other, so a closer works for one way of facing, or touches.
-        let rank = common.max(DVec3::ZERO).length() - 1e-3 * height.abs();
+        let rank = common.max(DVec3::ZERO).length() + 0.1 * plane.width.min(10.0) - 1e-3 * height.abs();
         let closer = Closer { edge: edge as u32, polygon: closer, height, slope };
         if closer.closes(false) || closer.closes(true) {
             found.push((rank, closer));

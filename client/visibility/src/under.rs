@@ -25,6 +25,7 @@ use glam::DVec3;
 use crate::occluders::Occluders;
 use crate::under_extent::{Extent, Seen};
 use crate::under_face::{Face, Region};
+use crate::under_region::NARROW;
 use crate::{Aabb, Bound, EyeRegion, Occlusion, Target, View};
 
 /// Occluders count from this many near distances on, along the image's axis. A camera that is turned by θ against it
@@ -247,6 +248,9 @@ impl Image {
         if std::mem::replace(&mut self.drawn[polygon as usize], frame) == frame {
             return;
         }
+        if occluders.polygons[polygon as usize].width < NARROW * self.radius {
+            return;
+        }
         let Some(setup) = self.slot(occluders, polygon) else { return };
         self.stats.polygons += 1;
         if self.radius > 0.0 {
@@ -283,7 +287,8 @@ impl Image {
 
     /// Whether the polygon was drawn in this frame and hides something.
     pub fn is_drawn(&self, polygon: u32) -> bool {
-        self.drawn[polygon as usize] == self.frame && self.slots[polygon as usize].1 != NONE
+        let (frame, slot) = self.slots[polygon as usize];
+        self.drawn[polygon as usize] == self.frame && frame == self.frame && slot != NONE
     }
 
     /// The polygon as seen from the eyes, set up at the first call in a frame. `None` if it hides nothing.

@@ -33,6 +33,7 @@
 //! Other pairs join without closers: for every eye, p is on the first's or on the second's side of the line.
 
 use crate::Aabb;
+use crate::closers::Closer;
 use crate::occluders::Occluders;
 use crate::under::{EdgePlane, Image, NONE, OCCLUDER_NEAR, ROUNDING, Setup, joints_of};
 use crate::under_extent::{Extent, Seen};
@@ -40,6 +41,12 @@ use crate::under_face::{Face, Linear, Region};
 
 /// A ball that is nearer to a polygon's plane than this part of its size does not fuse it, because of rounding.
 const CLEARANCE: f64 = 1e-5;
+
+/// A polygon that is narrower than so many radii is not worth drawing: hardly any of it is left even beside its closers.
+pub(crate) const NARROW: f64 = 1.0;
+
+/// A polygon that is wider than so many radii is left enough of by its joints with one neighbour each.
+const STAR_WIDTH: f64 = 3.0;
 
 /// Polygons in one set are at most this many. More edges are open then than close.
 const MEMBERS_MAX: usize = 12;
@@ -152,22 +159,32 @@ impl Image {
         let Some(setup) = self.slot(occluders, polygon) else { return };
         let alone = Fusion::of(polygon);
         let mut fused = alone;
-        self.close(occluders, polygon, &mut fused);
-        let cut = self.draw_fusion(occluders, &fused, Part::Whole);
-        if fused.count > 1 && cut {
+        let closed = self.close(occluders, polygon, &mut fused);
+        let width = occluders.polygons[polygon as usize].width;
+        // Each open edge takes the radius at least.
+        let vanishes = width <= 2.0 * self.radius;
+        let mut cut = true;
+        if closed != 0 || !vanishes {
+            cut = self.draw_fusion(occluders, &fused, Part::Whole);
+        }
+        if closed != 0 && cut {
             // The others' open edges took something away: what the polygon hides alone, and with one other.
-            self.draw_fusion(occluders, &alone, Part::Whole);
-            for closer in closers_of(occluders, polygon) {
-                let closer = occluders.closers[closer];
-                if self.closing(occluders, polygon, closer.polygon, closer.edge) {
-                    let mut pair = alone;
-                    pair.add(closer.polygon, 0);
-                    let edge = setup.edges[0] + closer.edge;
-                    self.draw_fusion(occluders, &pair, Part::Outside([edge, edge]));
-                }
+            if !vanishes {
+                self.draw_fusion(occluders, &alone, Part::Whole);
+            }
+            for edge in (0..setup.edges[1] - setup.edges[0]).filter(|edge| closed >> edge & 1 == 1) {
+                let best = closers_of(occluders, polygon)
+                    .map(|index| occluders.closers[index])
+                    .find(|closer| closer.edge == edge && fused.members[..fused.count].contains(&closer.polygon));
+                let mut pair = alone;
+                pair.add(best.map_or(NONE, |closer| closer.polygon), 0);
+                let edge = setup.edges[0] + edge;
+                self.draw_fusion(occluders, &pair, Part::Outside([edge, edge]));
             }
         }
-        self.draw_star(occluders, polygon, &fused);
+        if width < STAR_WIDTH * self.radius {
+            self.draw_star(occluders, polygon, &fused);
+        }
         for &[other, joint] in &occluders.joint_lists[joints_of(occluders, polygon)] {
             if self.is_drawn(other) {
                 self.join(occluders, joint);
@@ -175,27 +192,38 @@ impl Image {
         }
     }
 
-    /// Adds the best closer of each edge of `polygon`.
-    fn close(&mut self, occluders: &Occluders, polygon: u32, fusion: &mut Fusion) {
+    /// Adds the best closer of each edge of `polygon`. Returns which edges have one.
+    fn close(&mut self, occluders: &Occluders, polygon: u32, fusion: &mut Fusion) -> u32 {
+        if !self.slot(occluders, polygon).is_some_and(|setup| setup.fuses) {
+            return 0;
+        }
         let mut closed = 0_u32;
         for closer in closers_of(occluders, polygon) {
             let closer = occluders.closers[closer];
-            if closed >> closer.edge & 1 == 0 && self.closing(occluders, polygon, closer.polygon, closer.edge) {
+            if closed >> closer.edge & 1 == 0 && self.closes(occluders, &closer) {
                 closed |= 1 << closer.edge;
                 fusion.add(closer.polygon, 0);
             }
         }
+        closed
+    }
+
+    /// Whether a closer faces these eyes so that it closes its edge.
+    fn closes(&mut self, occluders: &Occluders, closer: &Closer) -> bool {
+        let corner = occluders.corners(closer.polygon)[0].as_dvec3();
+        let from_behind = occluders.polygons[closer.polygon as usize].normal.dot(self.eye - corner) < 0.0;
+        // Most face the other way, which is cheaper to see than to set them up.
+        closer.closes(from_behind) && self.slot(occluders, closer.polygon).is_some_and(|setup| setup.fuses)
     }
 
     /// Whether `other` closes an edge of `polygon` for these eyes.
     fn closing(&mut self, occluders: &Occluders, polygon: u32, other: u32, edge: u32) -> bool {
-        if !self.slot(occluders, polygon).is_some_and(|setup| setup.fuses) {
-            return false;
-        }
-        let Some(closer) = self.slot(occluders, other).filter(|setup| setup.fuses) else { return false };
-        closers_of(occluders, polygon)
+        let found = closers_of(occluders, polygon)
             .map(|index| occluders.closers[index])
-            .any(|found| found.polygon == other && found.edge == edge && found.closes(closer.from_behind))
+            .find(|found| found.polygon == other && found.edge == edge);
+        found.is_some_and(|closer| {
+            self.slot(occluders, polygon).is_some_and(|setup| setup.fuses) && self.closes(occluders, &closer)
+        })
     }
 
     /// Draws the polygon's image once more, joined with all its coplanar neighbours: a lintel between two pieces of wall.
@@ -288,7 +316,15 @@ impl Image {
         let aabb =
             shown.iter().fold(Aabb::EMPTY, |aabb, &polygon| aabb.union(&occluders.polygons[polygon as usize].aabb));
         let relative = Aabb::new(aabb.min - self.eye, aabb.max - self.eye);
-        let mut cut = false;
+        // A guess at whether the polygon's image is whole; exact for what lies inside the hull of its corners.
+        let cut = (1..fusion.count).any(|i| {
+            let Some(setup) = setups[i] else { return true };
+            (setup.edges[0]..setup.edges[1]).enumerate().any(|(bit, edge)| {
+                let normal = self.edges[edge as usize].normal;
+                let inside = |corner: &glam::Vec3| normal.dot(corner.as_dvec3() - self.eye) >= 0.0;
+                shut[i] >> bit & 1 == 0 && !occluders.corners(members[0]).iter().all(inside)
+            })
+        });
         for face in &mut self.faces {
             if self.aligned && matches!(face.rectangle_aligned(&relative), Seen::Outside) {
                 continue;
@@ -314,8 +350,7 @@ impl Image {
                 for (bit, edge) in (setup.edges[0]..setup.edges[1]).enumerate() {
                     if shut >> bit & 1 == 0 {
                         let (linear, error) = linear(face, &self.edges[edge as usize]);
-                        let took = region.cut(linear, error);
-                        cut |= took && i > 0;
+                        region.cut(linear, error);
                     } else if i == 0 && !strip {
                         let error = self.edges[edge as usize].error * face.reach;
                         region.cut_to_touching(face.linear(face.local(self.sights[edge as usize])), error);
