@@ -5,8 +5,6 @@
 
 use std::sync::Arc;
 
-use glam::DVec3;
-
 use crate::occluders::{Occluders, Polygon};
 use crate::under::{RegionError, UnderOcclusion};
 use crate::under_region::NARROW;

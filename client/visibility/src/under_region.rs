@@ -32,8 +32,10 @@
 //! of S. Coplanar neighbours of a polygon on several sides join in the same way, each with its other edges kept.
 //! Other pairs join without closers: for every eye, p is on the first's or on the second's side of the line.
 
+use glam::Vec3;
+
 use crate::Aabb;
-use crate::closers::Closer;
+use crate::closers::{self, Closer};
 use crate::occluders::Occluders;
 use crate::under::{EdgePlane, Image, NONE, OCCLUDER_NEAR, ROUNDING, Setup, joints_of};
 use crate::under_extent::{Extent, Seen};
@@ -161,26 +163,37 @@ impl Image {
         let mut fused = alone;
         let closed = self.close(occluders, polygon, &mut fused);
         let width = occluders.polygons[polygon as usize].width;
-        // Each open edge takes the radius at least.
-        let vanishes = width <= 2.0 * self.radius;
-        let mut cut = true;
-        if closed != 0 || !vanishes {
-            cut = self.draw_fusion(occluders, &fused, Part::Whole);
+        // Open edges of others that pass before the polygon would take parts of it away, so only one such polygon at a time.
+        let mut base = fused;
+        let mut cutting = 0_u32;
+        loop {
+            let cut = self.cutting(occluders, &base);
+            if cut == 0 {
+                break;
+            }
+            // Without one, edges that it closed may be open.
+            let mut less = alone;
+            for i in (1..base.count).filter(|i| cut >> i & 1 == 0) {
+                less.add(base.members[i], 0);
+            }
+            base = less;
         }
-        if closed != 0 && cut {
-            // The others' open edges took something away: what the polygon hides alone, and with one other.
-            if !vanishes {
-                self.draw_fusion(occluders, &alone, Part::Whole);
-            }
-            for edge in (0..setup.edges[1] - setup.edges[0]).filter(|edge| closed >> edge & 1 == 1) {
-                let best = closers_of(occluders, polygon)
-                    .map(|index| occluders.closers[index])
-                    .find(|closer| closer.edge == edge && fused.members[..fused.count].contains(&closer.polygon));
-                let mut pair = alone;
-                pair.add(best.map_or(NONE, |closer| closer.polygon), 0);
-                let edge = setup.edges[0] + edge;
-                self.draw_fusion(occluders, &pair, Part::Outside([edge, edge]));
-            }
+        for i in (1..fused.count).filter(|&i| !base.members[..base.count].contains(&fused.members[i])) {
+            cutting |= 1 << i;
+        }
+        // Each open edge takes the radius at least.
+        if base.count > 1 || width > 2.0 * self.radius {
+            self.draw_fusion(occluders, &base, Part::Whole);
+        }
+        for i in (1..fused.count).filter(|i| cutting >> i & 1 == 1) {
+            let closed = closers_of(occluders, polygon)
+                .map(|index| occluders.closers[index])
+                .find(|closer| closer.polygon == fused.members[i] && closed >> closer.edge & 1 == 1);
+            let Some(closer) = closed else { continue };
+            let mut pair = base;
+            pair.add(closer.polygon, 0);
+            let edge = setup.edges[0] + closer.edge;
+            self.draw_fusion(occluders, &pair, Part::Outside([edge, edge]));
         }
         if width < STAR_WIDTH * self.radius {
             self.draw_star(occluders, polygon, &fused);
@@ -198,8 +211,8 @@ impl Image {
             return 0;
         }
         let mut closed = 0_u32;
-        for closer in closers_of(occluders, polygon) {
-            let closer = occluders.closers[closer];
+        for index in closers_of(occluders, polygon) {
+            let closer = occluders.closers[index];
             if closed >> closer.edge & 1 == 0 && self.closes(occluders, &closer) {
                 closed |= 1 << closer.edge;
                 fusion.add(closer.polygon, 0);
@@ -288,43 +301,57 @@ impl Image {
         self.stats.joints += 1;
     }
 
-    /// Draws what a fusion hides within the image of its first polygon (of both, for a joint's strip). Returns whether
-    /// open edges of other polygons took something of that away.
-    fn draw_fusion(&mut self, occluders: &Occluders, fusion: &Fusion, part: Part) -> bool {
+    /// The members as seen from the eyes, and which edges of each are closed or joined.
+    fn shut(&mut self, occluders: &Occluders, fusion: &Fusion) -> ([Option<Setup>; MEMBERS_MAX], [u32; MEMBERS_MAX]) {
         let members = &fusion.members[..fusion.count];
         let setups: [Option<Setup>; MEMBERS_MAX] =
             std::array::from_fn(|i| members.get(i).and_then(|&polygon| self.slot(occluders, polygon)));
-        // Edges of each member that are closed or joined.
         let shut: [u32; MEMBERS_MAX] = std::array::from_fn(|i| {
             let Some(&polygon) = members.get(i) else { return 0 };
             let mut shut = fusion.joined[i];
             if !setups[i].is_some_and(|setup| setup.fuses) {
                 return shut;
             }
-            for closer in closers_of(occluders, polygon) {
-                let closer = occluders.closers[closer];
-                let Some(at) = members.iter().position(|&member| member == closer.polygon) else { continue };
-                let may = setups[at].is_some_and(|setup| setup.fuses && closer.closes(setup.from_behind));
-                if may && (at >= fusion.group || fusion.coplanar) {
-                    shut |= 1 << closer.edge;
+            for (at, &other) in members.iter().enumerate() {
+                let Some(closer) = setups[at].filter(|setup| setup.fuses && at != i) else { continue };
+                if at >= fusion.group || fusion.coplanar && i >= fusion.group {
+                    for edge in 0..occluders.corners(polygon).len() as u32 {
+                        if shut >> edge & 1 == 1 {
+                            continue;
+                        }
+                        let closed = closers::relation(occluders, polygon, edge, other);
+                        shut |= u32::from(closed.is_some_and(|closed| closed.closes(closer.from_behind))) << edge;
+                    }
                 }
             }
             shut
         });
+        (setups, shut)
+    }
+
+    /// Which members' open edges leave out some corner of the first polygon.
+    fn cutting(&mut self, occluders: &Occluders, fusion: &Fusion) -> u32 {
+        let (setups, shut) = self.shut(occluders, fusion);
+        let cuts = |i: &usize| {
+            let Some(setup) = setups[*i] else { return true };
+            (setup.edges[0]..setup.edges[1]).enumerate().any(|(bit, edge)| {
+                let normal = self.edges[edge as usize].normal;
+                let inside = |corner: &Vec3| normal.dot(corner.as_dvec3() - self.eye) >= 0.0;
+                shut[*i] >> bit & 1 == 0 && !occluders.corners(fusion.members[0]).iter().all(inside)
+            })
+        };
+        (1..fusion.count).filter(cuts).fold(0, |mask, i| mask | 1 << i)
+    }
+
+    /// Draws what a fusion hides within the image of its first polygon (of both, for a joint's strip).
+    fn draw_fusion(&mut self, occluders: &Occluders, fusion: &Fusion, part: Part) {
+        let (setups, shut) = self.shut(occluders, fusion);
+        let members = &fusion.members[..fusion.count];
         let strip = matches!(part, Part::Outside(_)) && fusion.group == 2;
         let shown = if strip { &members[..2] } else { &members[..1] };
         let aabb =
             shown.iter().fold(Aabb::EMPTY, |aabb, &polygon| aabb.union(&occluders.polygons[polygon as usize].aabb));
         let relative = Aabb::new(aabb.min - self.eye, aabb.max - self.eye);
-        // A guess at whether the polygon's image is whole; exact for what lies inside the hull of its corners.
-        let cut = (1..fusion.count).any(|i| {
-            let Some(setup) = setups[i] else { return true };
-            (setup.edges[0]..setup.edges[1]).enumerate().any(|(bit, edge)| {
-                let normal = self.edges[edge as usize].normal;
-                let inside = |corner: &glam::Vec3| normal.dot(corner.as_dvec3() - self.eye) >= 0.0;
-                shut[i] >> bit & 1 == 0 && !occluders.corners(members[0]).iter().all(inside)
-            })
-        });
         for face in &mut self.faces {
             if self.aligned && matches!(face.rectangle_aligned(&relative), Seen::Outside) {
                 continue;
@@ -370,7 +397,6 @@ impl Image {
                 _ => {}
             }
         }
-        cut
     }
 }
 
