@@ -17,6 +17,8 @@
 //! or on e, then on the border of both, which belongs to them. So each point of R is covered, at the farther of both
 //! planes' depths at worst, and no other border of either can touch these pixels. [`crate::Occluders`] lists such pairs; only edges
 //! that lie on *exactly* one line are paired.
+//!
+//! Eyes in a ball see past edges, so for a region with a radius edges and joints are others: [`crate::under_region`].
 
 use std::sync::Arc;
 

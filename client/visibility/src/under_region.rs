@@ -32,6 +32,9 @@
 //! of S. Coplanar neighbours of a polygon on several sides join in the same way, each with its other edges kept.
 //! Other pairs join without closers: for every eye, p is on the first's or on the second's side of the line.
 
+// `!(a > b)` where NaN must count as "no".
+#![allow(clippy::neg_cmp_op_on_partial_ord)]
+
 use glam::Vec3;
 
 use crate::Aabb;

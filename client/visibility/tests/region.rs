@@ -326,7 +326,7 @@ fn a_region_that_is_no_ball_and_a_view_of_nothing_have_a_defined_result() {
         let view = View { resolution: Resolution::new(width, height), ..view };
         assert!(!culler.cull(&view, ball, &mut scratch).visible.is_empty());
     }
-    for fov_x in [0.0, f64::NAN, 1e-6, 3.1415] {
+    for fov_x in [0.0, f64::NAN, 1e-6, 179.9_f64.to_radians()] {
         culler.cull(&View { fov_x, ..view }, ball, &mut scratch);
     }
     for centre in [DVec3::new(6.0, 1.7, 3.0), DVec3::new(0.0, 0.0, 0.0), DVec3::splat(1e9), DVec3::new(0.1, 1.7, 3.0)] {
