@@ -63,7 +63,7 @@ fn a_broken_culler_is_caught_and_the_others_are_not() {
     let path = world.cameras(Some(6), 7);
     for eye_radii in [vec![0.0], vec![0.2]] {
         let config = CullConfig { eye_radii, ..config(&registry, &Sweep::default()) };
-        let outcome = run(&world, &path, &config, &registry);
+        let outcome = run(&world, &path, &config, &registry, || {});
         assert_eq!(outcome.rows.len(), 4);
         for row in &outcome.rows {
             let broken = row.culler == "broken";
@@ -87,7 +87,7 @@ fn rows_say_what_was_kept_and_what_it_took() {
     let registry = Registry::standard();
     let path = world.cameras(Some(8), 3);
     let sweep = Sweep { budgets: vec![0, 1_000], ..Sweep::default() };
-    let rows = run(&world, &path, &config(&registry, &sweep), &registry).rows;
+    let rows = run(&world, &path, &config(&registry, &sweep), &registry, || {}).rows;
     let [all, frustum, unguided, guided] = &rows[..] else { panic!("{} rows", rows.len()) };
     assert_eq!(all.kept, world.scene.triangles().len() as f64);
     assert!(frustum.kept < all.kept && unguided.kept < frustum.kept && unguided.kept >= unguided.exact);
@@ -105,7 +105,7 @@ fn a_ball_of_eyes_sees_more_than_its_middle() {
     let registry = Registry::standard();
     let path = world.cameras(Some(3), 3);
     let config = CullConfig { eye_radii: vec![0.0, 0.5], ..config(&registry, &Sweep::default()) };
-    let rows: Vec<CullRow> = run(&world, &path, &config, &registry).rows;
+    let rows: Vec<CullRow> = run(&world, &path, &config, &registry, || {}).rows;
     assert_eq!(rows.len(), 6);
     assert!(rows[3].exact > rows[0].exact, "{:?}", rows[3]);
     assert_eq!((rows[0].eyes, rows[3].eyes), (1, 4));

@@ -11,7 +11,7 @@ use eyeline_server::app::number;
 use eyeline_sim::cull::report::{report, write_pictures};
 use eyeline_sim::cull::run::run as run_cullers;
 use eyeline_sim::cull::{CameraPath, CullConfig, Registry, Sweep, World, WorldRules, columns, row};
-use eyeline_sim::report::{Run, rfc3339, table};
+use eyeline_sim::report::{Progress, Run, rfc3339, table};
 use eyeline_visibility::Resolution;
 
 use super::resolution;
@@ -154,7 +154,10 @@ pub fn run(options: &Cull) -> anyhow::Result<()> {
         repeats: options.repeats as usize,
         seed: options.seed,
     };
-    let outcome = run_cullers(&world, &path, &config, &registry);
+    let runs = config.resolutions.len() * config.eye_radii.len();
+    let progress = Progress::new((runs * path.cameras.len()) as u64, "culling views");
+    let outcome = run_cullers(&world, &path, &config, &registry, || progress.inc(1));
+    progress.finish();
     let mut run = Run::here("Eyeline cull", Some(options.seed), started);
     run.wall_seconds = began.elapsed().as_secs_f64();
     let mut report = report(run, &world, &outcome, &config)?;
