@@ -17,13 +17,13 @@ use glam::DVec3;
 use rand::RngExt;
 
 use super::fragments::Fragments;
+use super::max_pass::MaxPass;
 use super::path::CameraPath;
 use super::picture::Picture;
 use super::registry::{Candidate, Registry, Setting, Shop};
 use super::row::CullRow;
 use super::world::World;
 use crate::chance;
-use crate::report::Progress;
 
 /// What is run.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,8 +64,14 @@ pub struct Outcome {
     pub pictures: Vec<Pictures>,
 }
 
-/// Runs every setting over every view.
-pub fn run(world: &World, path: &CameraPath, config: &CullConfig, registry: &Registry) -> Outcome {
+/// Runs every setting over every view. `each_view` is called after each view of each resolution and radius.
+pub fn run(
+    world: &World,
+    path: &CameraPath,
+    config: &CullConfig,
+    registry: &Registry,
+    mut each_view: impl FnMut(),
+) -> Outcome {
     let mut shop = Shop::new(world.scene.clone());
     let mut made: Vec<(&Setting, bool, f64, Box<dyn Candidate>)> = Vec::new();
     for setting in &config.settings {
@@ -74,8 +80,6 @@ pub fn run(world: &World, path: &CameraPath, config: &CullConfig, registry: &Reg
         let candidate = (entry.make)(&mut shop, setting);
         made.push((setting, entry.conservative, millis(began), candidate));
     }
-    let runs = config.resolutions.len() * config.eye_radii.len();
-    let progress = Progress::new((runs * path.cameras.len()) as u64, "culling views");
     let mut outcome = Outcome { rows: Vec::new(), pictures: Vec::new() };
     for &resolution in &config.resolutions {
         let mut max_pass = MaxPass::new(resolution);
@@ -94,7 +98,7 @@ pub fn run(world: &World, path: &CameraPath, config: &CullConfig, registry: &Reg
                     }
                 }
                 tallies.iter_mut().for_each(Tally::close_view);
-                progress.inc(1);
+                each_view();
             }
             let first = outcome.rows.is_empty();
             for ((setting, conservative, build_ms, candidate), tally) in made.iter_mut().zip(tallies) {
@@ -120,7 +124,6 @@ pub fn run(world: &World, path: &CameraPath, config: &CullConfig, registry: &Reg
             }
         }
     }
-    progress.finish();
     outcome
 }
 
@@ -411,39 +414,7 @@ fn pictures_of(world: &World, view: &View, radius: f64, candidate: &mut dyn Cand
     pictures
 }
 
-/// One f32 max with a constant over a buffer of an image's pixels: what touching every pixel once costs.
-pub struct MaxPass {
-    buffer: Vec<f32>,
-    next: f32,
-}
-
-impl MaxPass {
-    /// A buffer for images of this size.
-    pub fn new(resolution: Resolution) -> MaxPass {
-        MaxPass { buffer: vec![0.0; resolution.pixels()], next: 0.0 }
-    }
-
-    /// One pass.
-    #[inline(never)]
-    pub fn pass(&mut self) {
-        // Another value each time, or the compiler could see that nothing changes.
-        self.next += 1e-3;
-        let value = black_box(self.next);
-        for depth in &mut self.buffer {
-            *depth = if *depth > value { *depth } else { value };
-        }
-        black_box(&mut self.buffer);
-    }
-
-    /// One pass, in milliseconds.
-    fn run(&mut self) -> f64 {
-        let began = Instant::now();
-        self.pass();
-        millis(began)
-    }
-}
-
-fn millis(since: Instant) -> f64 {
+pub(super) fn millis(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
