@@ -225,15 +225,15 @@ impl Try<'_> {
             }
         }
         let fragments = Fragments::new(view);
-        let drawn = culled.visible.iter().map(|&id| fragments.of(&world.scene.triangles()[id as usize], DVec3::ZERO));
-        let mut z_tests: u64 = drawn.sum();
+        let own = candidate.z_tests();
+        let triangles = world.scene.triangles();
+        let drawn = || culled.visible.iter().map(|&id| fragments.of(&triangles[id as usize], DVec3::ZERO)).sum();
+        let mut z_tests: u64 = own.unwrap_or_else(drawn);
         for &object in &exposed {
             let mesh = &world.scene.objects()[object as usize];
             z_tests += mesh.triangles.iter().map(|triangle| fragments.of(triangle, mesh.origin)).sum::<u64>();
         }
-        let queries = candidate.query_z_tests();
-        tally.query_z_tests_counted = queries.is_some();
-        z_tests += queries.unwrap_or(0);
+        tally.query_z_tests_counted = own.is_some();
 
         if tally.worst.is_none_or(|(most, _)| wrong > most) {
             tally.worst = Some((wrong, number));
@@ -285,6 +285,9 @@ struct Tally {
     rounds_max: usize,
     cells: u64,
     queries: u64,
+    plp: u64,
+    occluders: u64,
+    bounds: u64,
     z_tests: u64,
     query_z_tests_counted: bool,
     draw_ms: f64,
@@ -312,6 +315,9 @@ impl Tally {
         self.rounds_max = self.rounds_max.max(culled.traversal.rounds);
         self.cells += culled.traversal.cells_projected as u64;
         self.queries += culled.traversal.queries as u64;
+        self.plp += culled.traversal.plp_triangles as u64;
+        self.occluders += culled.traversal.polygons_drawn as u64;
+        self.bounds += culled.traversal.bounds_tested as u64;
     }
 
     fn timed(
@@ -378,6 +384,10 @@ impl Tally {
             rounds_max: self.rounds_max,
             cells: mean(self.cells),
             queries: mean(self.queries),
+            bounds: mean(self.bounds),
+            occluders: mean(self.occluders),
+            plp_triangles: mean(self.plp),
+            extra_triangles: about.setting.budget.map_or(0.0, |_| mean(self.kept) - mean(self.plp)),
             z_tests_per_pixel: ratio(self.z_tests as f64, self.pixels as f64),
             query_z_tests_counted: self.query_z_tests_counted,
             frame_ms,
@@ -408,7 +418,7 @@ fn pictures_of(world: &World, view: &View, radius: f64, candidate: &mut dyn Cand
         ("culled".to_owned(), picture.clone()),
         ("wrong pixels in red".to_owned(), Picture::of_items(world, &exact, view).of_difference(&items, &exact)),
     ];
-    for layer in candidate.layers() {
+    for layer in candidate.layers(view) {
         pictures.push((layer.name.to_owned(), picture.clone().with_layer(&layer)));
     }
     pictures
