@@ -12,6 +12,7 @@
 
 mod lanes;
 mod outline;
+mod pixels;
 mod polygon;
 mod query;
 mod tiles;
@@ -23,7 +24,7 @@ use glam::{DVec3, Vec3};
 
 pub use fearless_simd::Level as SimdLevel;
 
-use crate::raster_sampled::setup::{Corner, DEPTH_SLACK, GUARD_PX, Projector, ViewPoint};
+use crate::raster_sampled::setup::{Corner, DEPTH_SLACK, GUARD_PX, Projector, SNAP_PX, ViewPoint};
 use crate::{Aabb, Bound, Occlusion, Sides, View};
 use polygon::{CORNERS_MAX, draw_loop};
 use query::Asked;
@@ -201,7 +202,7 @@ impl MaskedDepth {
         for (corner, point) in snapped.iter_mut().zip(points) {
             *corner = projector.snap(*point);
         }
-        self.polygons += u64::from(draw_loop(simd, &mut self.tiles, &snapped[..count], sides, self.coverage));
+        self.polygons += u64::from(draw_loop(simd, &mut self.tiles, &snapped[..count], sides, self.coverage, 0.0));
     }
 }
 
@@ -209,7 +210,8 @@ impl MaskedDepth {
 ///
 /// Cutting the triangles of its fan, as [`crate::ItemBuffer`] does, gives the same corners as cutting the loop, but for those where
 /// the diagonals are cut; snapping moves these by 1/512 px off the line between the others. Where that line is outside
-/// the image, the loop will do.
+/// the image, the loop will do, but its depths are those of other points of the polygon, each within [`SNAP_PX`] of the
+/// pixel's centre: they are lowered by twice that, and as much again since the slope is rounded too.
 #[inline(never)]
 fn draw_clipped<S: Simd>(
     simd: S,
@@ -220,12 +222,12 @@ fn draw_clipped<S: Simd>(
     coverage: Coverage,
 ) -> bool {
     if points.len() > 3 && is_planar(points) && near_cut_is_outside(projector, points) {
-        return draw_cut(simd, tiles, projector, &projector.clip(points), sides, coverage);
+        return draw_cut(simd, tiles, projector, &projector.clip(points), sides, coverage, 4.0 * SNAP_PX);
     }
     let mut drawn = false;
     for i in 2..points.len() {
         let polygon = projector.clip(&[points[0], points[i - 1], points[i]]);
-        drawn |= draw_cut(simd, tiles, projector, &polygon, sides, coverage);
+        drawn |= draw_cut(simd, tiles, projector, &polygon, sides, coverage, 0.0);
     }
     drawn
 }
@@ -266,6 +268,7 @@ fn draw_cut<S: Simd>(
     polygon: &[ViewPoint],
     sides: Sides,
     coverage: Coverage,
+    spread: f64,
 ) -> bool {
     let count = polygon.len();
     if !(3..=CORNERS_MAX).contains(&count) {
@@ -280,11 +283,11 @@ fn draw_cut<S: Simd>(
         (0..count).all(|i| turn(snapped[i], snapped[(i + 1) % count], snapped[(i + 2) % count]) != wanted)
     };
     if turns(1) || turns(-1) {
-        return draw_loop(simd, tiles, snapped, sides, coverage);
+        return draw_loop(simd, tiles, snapped, sides, coverage, spread);
     }
     let mut drawn = false;
     for i in 2..count {
-        drawn |= draw_loop(simd, tiles, &[snapped[0], snapped[i - 1], snapped[i]], sides, coverage);
+        drawn |= draw_loop(simd, tiles, &[snapped[0], snapped[i - 1], snapped[i]], sides, coverage, spread);
     }
     drawn
 }
