@@ -24,8 +24,9 @@ use glam::{DVec3, Vec3};
 
 pub use fearless_simd::Level as SimdLevel;
 
+use crate::raster_sampled::seal::holds;
 use crate::raster_sampled::setup::{Corner, DEPTH_SLACK, GUARD_PX, Projector, SNAP_PX, ViewPoint};
-use crate::{Aabb, Bound, Occlusion, Sides, View};
+use crate::{Aabb, Bound, Occlusion, SealedFace, Sides, View};
 use polygon::{CORNERS_MAX, draw_loop};
 use query::Asked;
 use tiles::Tiles;
@@ -173,6 +174,15 @@ impl MaskedDepth {
         let z = projector.near / distance * (1.0 + 1e-6);
         // NaN closes nothing.
         z >= 0.0 && dispatch!(level, simd => self.tiles.all_nearer(simd, z as f32))
+    }
+
+    /// Whether a sealed face hides what is beyond it, at the pixel centres of this view: `raster_sampled/seal.rs` has the
+    /// argument. It needs [`Coverage::Sampled`], and that the primitives of the face's cell have been drawn, each as it is:
+    /// merged polygons snap to other places along their edges.
+    pub fn believes(&self, seal: &SealedFace<'_>) -> bool {
+        let Some(projector) = &self.projector else { return true };
+        let depth_at = |x: usize, y: usize| self.tiles.depth_at(x as u32, y as u32);
+        self.coverage == Coverage::Sampled && holds(projector, seal, depth_at)
     }
 
     #[inline(always)]
