@@ -33,8 +33,13 @@ fn lane_bits<S: Simd>(simd: S) -> [u32x8<S>; PARTS] {
 /// A plane's depths in the first row.
 #[inline(always)]
 fn first_row<S: Simd>(simd: S, plane: &Plane) -> [f32x8<S>; PARTS] {
+    // No closures: they would be compiled without the level's instructions.
     let ramp = ramp(simd);
-    std::array::from_fn(|part| (ramp + (part * LANES) as f32) * plane.dx + plane.at)
+    let mut row = [splat(simd, 0.0); PARTS];
+    for (part, z) in row.iter_mut().enumerate() {
+        *z = (ramp + (part * LANES) as f32) * plane.dx + plane.at;
+    }
+    row
 }
 
 /// Moves the pixels of `mask` to `plane` where that is nearer.
@@ -43,7 +48,10 @@ pub(super) fn raise<S: Simd>(simd: S, pixels: &mut Pixels, mask: u32x8<S>, plane
     let rows: [u32; TILE_Y] = mask.into();
     let (bits, start) = (lane_bits(simd), first_row(simd, plane));
     let zero = u32x8::splat(simd, 0);
-    let used = rows.iter().fold(0, |used, row| used | row);
+    let mut used = 0;
+    for row in rows {
+        used |= row;
+    }
     for part in 0..PARTS {
         // Small polygons are in one or two of them.
         if used >> (part * LANES) & 0xff == 0 {
