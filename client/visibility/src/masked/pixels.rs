@@ -61,9 +61,11 @@ pub(super) fn raise<S: Simd>(simd: S, pixels: &mut Pixels, mask: u32x8<S>, plane
             let pixels = &mut pixels[part * LANES..][..LANES];
             let old = f32x8::from_slice(simd, pixels);
             let z = start[part] + plane.dy * j as f32;
-            // Not by a maximum, which may give either zero.
-            let outside = (u32x8::splat(simd, *row) & bits[part]).simd_eq(zero) | z.simd_le(old);
-            outside.select(old, z).store_slice(pixels);
+            let outside = (u32x8::splat(simd, *row) & bits[part]).simd_eq(zero);
+            let z = outside.select(splat(simd, 0.0), z);
+            // A maximum, but one that says which zero. Written with one condition on what is stored: with two it becomes a masked
+            // store, which later loads have to wait for.
+            z.simd_gt(old).select(z, old).store_slice(pixels);
         }
     }
 }
