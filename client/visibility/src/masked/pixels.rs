@@ -62,10 +62,10 @@ pub(super) fn raise<S: Simd>(simd: S, pixels: &mut Pixels, mask: u32x8<S>, plane
             let old = f32x8::from_slice(simd, pixels);
             let z = start[part] + plane.dy * j as f32;
             let outside = (u32x8::splat(simd, *row) & bits[part]).simd_eq(zero);
-            let z = outside.select(splat(simd, 0.0), z);
-            // A maximum, but one that says which zero. Written with one condition on what is stored: with two it becomes a masked
+            // Adding 0 leaves one zero only, since a maximum may give either. A maximum, because a choice becomes a masked
             // store, which later loads have to wait for.
-            z.simd_gt(old).select(z, old).store_slice(pixels);
+            let z = outside.select(splat(simd, 0.0), z) + 0.0;
+            simd.max_f32x8(z, old).store_slice(pixels);
         }
     }
 }
