@@ -11,7 +11,9 @@
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 
 mod lanes;
+mod merge;
 mod outline;
+mod pixels;
 mod polygon;
 mod query;
 mod tiles;
@@ -23,8 +25,9 @@ use glam::{DVec3, Vec3};
 
 pub use fearless_simd::Level as SimdLevel;
 
-use crate::raster_sampled::setup::{Corner, DEPTH_SLACK, GUARD_PX, Projector, ViewPoint};
-use crate::{Aabb, Bound, Occlusion, Sides, View};
+use crate::raster_sampled::seal::holds;
+use crate::raster_sampled::setup::{Corner, DEPTH_SLACK, GUARD_PX, Projector, SNAP_PX, ViewPoint};
+use crate::{Aabb, Bound, Occlusion, SealedFace, Sides, View};
 use polygon::{CORNERS_MAX, draw_loop};
 use query::Asked;
 use tiles::Tiles;
@@ -174,6 +177,15 @@ impl MaskedDepth {
         z >= 0.0 && dispatch!(level, simd => self.tiles.all_nearer(simd, z as f32))
     }
 
+    /// Whether a sealed face hides what is beyond it, at the pixel centres of this view: `raster_sampled/seal.rs` has the
+    /// argument. It needs [`Coverage::Sampled`], and that the primitives of the face's cell have been drawn, each as it is:
+    /// merged polygons snap to other places along their edges.
+    pub fn believes(&self, seal: &SealedFace<'_>) -> bool {
+        let Some(projector) = &self.projector else { return true };
+        let depth_at = |x: usize, y: usize| self.tiles.depth_at(x as u32, y as u32);
+        self.coverage == Coverage::Sampled && holds(projector, seal, depth_at)
+    }
+
     #[inline(always)]
     fn draw_with<S: Simd>(&mut self, simd: S, corners: &[DVec3], sides: Sides) {
         let Some(projector) = &self.projector else { return };
@@ -201,7 +213,7 @@ impl MaskedDepth {
         for (corner, point) in snapped.iter_mut().zip(points) {
             *corner = projector.snap(*point);
         }
-        self.polygons += u64::from(draw_loop(simd, &mut self.tiles, &snapped[..count], sides, self.coverage));
+        self.polygons += u64::from(draw_loop(simd, &mut self.tiles, &snapped[..count], sides, self.coverage, 0.0));
     }
 }
 
@@ -209,7 +221,8 @@ impl MaskedDepth {
 ///
 /// Cutting the triangles of its fan, as [`crate::ItemBuffer`] does, gives the same corners as cutting the loop, but for those where
 /// the diagonals are cut; snapping moves these by 1/512 px off the line between the others. Where that line is outside
-/// the image, the loop will do.
+/// the image, the loop will do, but its depths are those of other points of the polygon, each within [`SNAP_PX`] of the
+/// pixel's centre: they are lowered by twice that, and as much again since the slope is rounded too.
 #[inline(never)]
 fn draw_clipped<S: Simd>(
     simd: S,
@@ -220,12 +233,12 @@ fn draw_clipped<S: Simd>(
     coverage: Coverage,
 ) -> bool {
     if points.len() > 3 && is_planar(points) && near_cut_is_outside(projector, points) {
-        return draw_cut(simd, tiles, projector, &projector.clip(points), sides, coverage);
+        return draw_cut(simd, tiles, projector, &projector.clip(points), sides, coverage, 4.0 * SNAP_PX);
     }
     let mut drawn = false;
     for i in 2..points.len() {
         let polygon = projector.clip(&[points[0], points[i - 1], points[i]]);
-        drawn |= draw_cut(simd, tiles, projector, &polygon, sides, coverage);
+        drawn |= draw_cut(simd, tiles, projector, &polygon, sides, coverage, 0.0);
     }
     drawn
 }
@@ -266,6 +279,7 @@ fn draw_cut<S: Simd>(
     polygon: &[ViewPoint],
     sides: Sides,
     coverage: Coverage,
+    spread: f64,
 ) -> bool {
     let count = polygon.len();
     if !(3..=CORNERS_MAX).contains(&count) {
@@ -280,11 +294,11 @@ fn draw_cut<S: Simd>(
         (0..count).all(|i| turn(snapped[i], snapped[(i + 1) % count], snapped[(i + 2) % count]) != wanted)
     };
     if turns(1) || turns(-1) {
-        return draw_loop(simd, tiles, snapped, sides, coverage);
+        return draw_loop(simd, tiles, snapped, sides, coverage, spread);
     }
     let mut drawn = false;
     for i in 2..count {
-        drawn |= draw_loop(simd, tiles, &[snapped[0], snapped[i - 1], snapped[i]], sides, coverage);
+        drawn |= draw_loop(simd, tiles, &[snapped[0], snapped[i - 1], snapped[i]], sides, coverage, spread);
     }
     drawn
 }

@@ -7,7 +7,7 @@
 
 mod boxes;
 mod depth;
-mod seal;
+pub(crate) mod seal;
 pub(crate) mod setup;
 
 use glam::DVec3;

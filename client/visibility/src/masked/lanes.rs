@@ -122,12 +122,6 @@ impl Plane {
         self.at - positive(-self.dx * LAST_X) - positive(-self.dy * LAST_Y)
     }
 
-    /// The value in the middle of a tile.
-    #[inline(always)]
-    pub(super) fn middle(&self) -> f32 {
-        self.at + self.dx * (LAST_X * 0.5) + self.dy * (LAST_Y * 0.5)
-    }
-
     /// Bounds rounding wherever the plane is evaluated or compared in a tile.
     #[inline(always)]
     pub(super) fn rounding(&self) -> f32 {

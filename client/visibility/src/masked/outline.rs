@@ -3,6 +3,9 @@
 //! An edge of the silhouette is any line that the whole thing lies on one side of, and its depth is bounded by any plane that it
 //! lies behind. Leaving edges or planes out is right too.
 
+use fearless_simd::f64x8;
+use fearless_simd::prelude::*;
+
 use super::LOOP_MAX;
 use crate::raster_sampled::setup::{DEPTH_SLACK, Projector, ViewPoint};
 
@@ -13,7 +16,7 @@ const TURN_MAX: f64 = 64.0;
 const EDGE_SLACK_PX: f64 = 1.0 / 256.0;
 
 /// Most edges of a silhouette.
-const EDGES_MAX: usize = 8;
+pub(super) const EDGES_MAX: usize = 8;
 
 /// The rest of it, computed only if it is needed.
 pub(super) enum Outline {
@@ -31,36 +34,59 @@ pub(super) struct Linear {
 }
 
 /// Edges and planes of a silhouette.
-#[derive(Default)]
 pub(super) struct Detail {
-    /// Columns are at least (`left`) or at most (`right`) `origin + turn · row`.
-    pub(super) left: [[f64; 2]; EDGES_MAX],
-    pub(super) right: [[f64; 2]; EDGES_MAX],
-    pub(super) left_count: usize,
-    pub(super) right_count: usize,
+    /// Columns are at least `left + turn · row` and at most `right + turn · row`. Of each edge one of them is [`NO_BOUND`] away.
+    pub(super) left: [f64; EDGES_MAX],
+    pub(super) right: [f64; EDGES_MAX],
+    pub(super) turn: [f64; EDGES_MAX],
+    pub(super) edge_count: usize,
     pub(super) planes: [Linear; 3],
     pub(super) plane_count: usize,
 }
 
+/// Farther than any column.
+const NO_BOUND: f64 = 1e18;
+
 impl Detail {
-    /// Adds the line along (dx, dy) that all points lie on the same side of as `inside`, moved outward by `reach` pixels.
     #[inline(always)]
-    fn add_edge(&mut self, [ax, ay]: [f64; 2], [bx, by]: [f64; 2], inside: [f64; 2], reach: f64) {
-        let dy = by - ay;
-        let turn = (bx - ax) / dy;
+    fn new() -> Detail {
+        Detail {
+            left: [-NO_BOUND; EDGES_MAX],
+            right: [NO_BOUND; EDGES_MAX],
+            turn: [0.0; EDGES_MAX],
+            edge_count: 0,
+            planes: [Linear::default(); 3],
+            plane_count: 0,
+        }
+    }
+
+    /// Adds lines through pairs of points that everything lies on the same side of as `inside`, moved outward by `reach`
+    /// pixels. All at once, since which edges a box shows, and on which side, is never the same twice.
+    #[inline(always)]
+    fn set_edges<S: Simd>(
+        &mut self,
+        simd: S,
+        [ax, ay]: [&[f64; EDGES_MAX]; 2],
+        [bx, by]: [&[f64; EDGES_MAX]; 2],
+        inside: [f64; 2],
+        reach: f64,
+        count: usize,
+    ) {
+        let (ax, ay) = (f64x8::from_slice(simd, ax), f64x8::from_slice(simd, ay));
+        let (bx, by) = (f64x8::from_slice(simd, bx), f64x8::from_slice(simd, by));
+        let turn = (bx - ax) / (by - ay);
         // Also leaves out NaN, for edges of no length.
-        if !(turn.abs() <= TURN_MAX) {
-            return;
-        }
+        let is_edge = simd.abs_f64x8(turn).simd_le(f64x8::splat(simd, TURN_MAX));
+        let turn = is_edge.select(turn, f64x8::splat(simd, 0.0));
         let origin = ax - turn * ay;
-        let reach = (reach + EDGE_SLACK_PX) * (1.0 + turn.abs());
-        if inside[0] - turn * inside[1] >= origin {
-            self.left[self.left_count] = [origin - reach, turn];
-            self.left_count += 1;
-        } else {
-            self.right[self.right_count] = [origin + reach, turn];
-            self.right_count += 1;
-        }
+        let reach = (simd.abs_f64x8(turn) + 1.0) * (reach + EDGE_SLACK_PX);
+        let is_left = (f64x8::splat(simd, inside[0]) - turn * inside[1]).simd_ge(origin);
+        let left = (is_edge & is_left).select(origin - reach, f64x8::splat(simd, -NO_BOUND));
+        let right = (is_edge & !is_left).select(origin + reach, f64x8::splat(simd, NO_BOUND));
+        left.store_slice(&mut self.left);
+        right.store_slice(&mut self.right);
+        turn.store_slice(&mut self.turn);
+        self.edge_count = count;
     }
 
     #[inline(always)]
@@ -74,19 +100,35 @@ impl Detail {
     }
 }
 
-/// The 12 edges of a box as pairs of corners (x is bit 0), with the two faces that meet there: axis, and 3 more at its maximum.
-const BOX_EDGES: [([usize; 2], [usize; 2]); 12] = {
-    let mut edges = [([0; 2], [0; 2]); 12];
-    let mut i = 0;
-    while i < 12 {
-        let axis = i / 4;
-        let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
-        let (at_b, at_c) = (i % 2, i / 2 % 2);
-        let corner = at_b << b | at_c << c;
-        edges[i] = ([corner, corner | 1 << axis], [b + 3 * at_b, c + 3 * at_c]);
-        i += 1;
+/// Pairs of corners of a box (x is bit 0): the edges of its silhouette, of which there are at most six.
+#[derive(Clone, Copy)]
+struct BoxEdges {
+    pairs: [[u8; 2]; EDGES_MAX],
+    count: u8,
+}
+
+/// The silhouettes of a box by the faces that look at the eye: bit `axis`, and 3 more at its maximum. Opposite faces never both do.
+const SILHOUETTES: [BoxEdges; 64] = {
+    let mut all = [BoxEdges { pairs: [[0; 2]; EDGES_MAX], count: 0 }; 64];
+    let mut facing = 0;
+    while facing < 64 {
+        let mut i = 0;
+        while i < 12 {
+            let axis = i / 4;
+            let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
+            let (at_b, at_c) = (i % 2, i / 2 % 2);
+            let corner = at_b << b | at_c << c;
+            let silhouette = (facing >> (b + 3 * at_b) ^ facing >> (c + 3 * at_c)) & 1 == 1;
+            let count = all[facing].count as usize;
+            if silhouette && count < EDGES_MAX {
+                all[facing].pairs[count] = [corner as u8, (corner | 1 << axis) as u8];
+                all[facing].count += 1;
+            }
+            i += 1;
+        }
+        facing += 1;
     }
-    edges
+    all
 };
 
 /// Tangents of the lines x = m · z that touch a circle that lies wholly in front: (x − m·z)² = r²(1 + m²). Rounded outward.
@@ -101,21 +143,24 @@ pub(super) fn tangents(x: f64, z: f64, radius: f64) -> [f64; 2] {
 
 impl Outline {
     #[inline(always)]
-    pub(super) fn detail(&self, projector: &Projector) -> Detail {
-        let mut detail = Detail::default();
+    pub(super) fn detail<S: Simd>(&self, simd: S, projector: &Projector) -> Detail {
+        let mut detail = Detail::new();
         match self {
             Outline::Box { min, max, columns, rows, reach } => {
-                let inside = [columns.iter().sum::<f64>() * 0.125, rows.iter().sum::<f64>() * 0.125];
                 // Bits of the faces that look at the eye: at the minimum, then at the maximum of each axis.
-                let mut facing = 0_u32;
+                let mut facing = 0;
                 for axis in 0..3 {
-                    facing |= u32::from(min[axis] > 0.0) << axis | u32::from(max[axis] < 0.0) << (axis + 3);
+                    facing |= usize::from(min[axis] > 0.0) << axis | usize::from(max[axis] < 0.0) << (axis + 3);
                 }
-                for ([a, b], [face, other]) in BOX_EDGES {
-                    if (facing >> face ^ facing >> other) & 1 == 1 {
-                        detail.add_edge([columns[a], rows[a]], [columns[b], rows[b]], inside, *reach);
-                    }
+                let edges = &SILHOUETTES[facing];
+                let [mut ax, mut ay, mut bx, mut by] = [[0.0; EDGES_MAX]; 4];
+                for (i, [a, b]) in edges.pairs.iter().enumerate() {
+                    let (a, b) = (*a as usize & 7, *b as usize & 7);
+                    (ax[i], ay[i], bx[i], by[i]) = (columns[a], rows[a], columns[b], rows[b]);
                 }
+                // The middle of a diagonal is inside the box; on a line of its silhouette only if the box is seen as that line.
+                let inside = [(columns[0] + columns[7]) * 0.5, (rows[0] + rows[7]) * 0.5];
+                detail.set_edges(simd, [&ax, &ay], [&bx, &by], inside, *reach, edges.count as usize);
                 for axis in 0..3 {
                     // 1/w is (n·d)/(n·c) where the direction d with forward part 1 meets the face's plane.
                     let distance = if min[axis] > 0.0 {
@@ -139,14 +184,17 @@ impl Outline {
                 let [column, row] = [projector.middle[0] - 0.5, projector.middle[1] - 0.5];
                 let inside =
                     [column + centre.x / centre.w * projector.focal_px, row - centre.y / centre.w * projector.focal_px];
-                for down in [1.0, -1.0] {
+                let (mut at, mut to, mut below) = ([row; EDGES_MAX], [row; EDGES_MAX], [row; EDGES_MAX]);
+                for (i, down) in [1.0, -1.0].into_iter().enumerate() {
                     let across = tangents((centre.x - down * centre.y) * half, centre.w, *radius);
-                    for tangent in across {
+                    for (j, tangent) in across.into_iter().enumerate() {
                         // The line x + down · y = c.
-                        let at = column + tangent * projector.focal_px / half;
-                        detail.add_edge([at, row], [at - down, row + 1.0], inside, *reach);
+                        at[2 * i + j] = column + tangent * projector.focal_px / half;
+                        to[2 * i + j] = at[2 * i + j] - down;
+                        below[2 * i + j] = row + 1.0;
                     }
                 }
+                detail.set_edges(simd, [&at, &[row; EDGES_MAX]], [&to, &below], inside, *reach, 4);
                 // All of the ball lies beyond the plane that touches it before its centre.
                 let length = (centre.x * centre.x + centre.y * centre.y + centre.w * centre.w).sqrt();
                 let scale = projector.near / (length * (length - radius));
@@ -181,7 +229,7 @@ impl Outline {
 #[inline(always)]
 fn hull_edge(detail: &mut Detail, columns: &[f64], rows: &[f64], i: usize, j: usize, reach: f64) {
     let turn = (columns[j] - columns[i]) / (rows[j] - rows[i]);
-    if !(turn.abs() <= TURN_MAX) || detail.left_count.max(detail.right_count) == EDGES_MAX {
+    if !(turn.abs() <= TURN_MAX) {
         return;
     }
     let [mut low, mut high] = [f64::INFINITY, f64::NEG_INFINITY];
@@ -192,10 +240,10 @@ fn hull_edge(detail: &mut Detail, columns: &[f64], rows: &[f64], i: usize, j: us
     let reach = (reach + EDGE_SLACK_PX) * (1.0 + turn.abs());
     let here = columns[i] - turn * rows[i];
     if here - low <= high - here {
-        detail.left[detail.left_count] = [low - reach, turn];
-        detail.left_count += 1;
+        detail.left[detail.edge_count] = low - reach;
     } else {
-        detail.right[detail.right_count] = [high + reach, turn];
-        detail.right_count += 1;
+        detail.right[detail.edge_count] = high + reach;
     }
+    detail.turn[detail.edge_count] = turn;
+    detail.edge_count += 1;
 }

@@ -121,23 +121,31 @@ fn whole(v: f32) -> usize {
     ((v + 8_388_608.0).to_bits() & 0x7f_ffff) as usize
 }
 
-/// Draws the loop; returns whether it may cover a pixel.
+/// Draws the loop, at depths of points up to `spread` px away; returns whether it may cover a pixel.
 pub(super) fn draw_loop<S: Simd>(
     simd: S,
     tiles: &mut Tiles,
     corners: &[Corner],
     sides: Sides,
     coverage: Coverage,
+    spread: f64,
 ) -> bool {
     // One copy of this for each level, whoever calls.
     simd.vectorize(
         #[inline(always)]
-        || draw_inlined(simd, tiles, corners, sides, coverage),
+        || draw_inlined(simd, tiles, corners, sides, coverage, spread),
     )
 }
 
 #[inline(always)]
-fn draw_inlined<S: Simd>(simd: S, tiles: &mut Tiles, corners: &[Corner], sides: Sides, coverage: Coverage) -> bool {
+fn draw_inlined<S: Simd>(
+    simd: S,
+    tiles: &mut Tiles,
+    corners: &[Corner],
+    sides: Sides,
+    coverage: Coverage,
+    spread: f64,
+) -> bool {
     let count = corners.len();
     let origin = corners[0];
     // Twice the area, and the normal of the loop in columns, rows and depth.
@@ -210,7 +218,9 @@ fn draw_inlined<S: Simd>(simd: S, tiles: &mut Tiles, corners: &[Corner], sides: 
     if y[0] > y[1] {
         return false;
     }
-    let depth = LoopDepth::new(corners, area, normal, depths, coverage, x, y);
+    // Under-estimating: the farthest point of the pixel's square, and corners that a finer image snaps to other places.
+    let spread = spread + if coverage == Coverage::Under { 0.5 + 2.0 * SNAP_PX } else { 0.0 };
+    let depth = LoopDepth::new(corners, area, normal, depths, spread, x, y, nearest);
 
     // `y[0]` may have grown; the edges start where it was.
     let mut first_tile_y = (tile_row >> 8) as usize / TILE_Y;
@@ -304,19 +314,23 @@ struct LoopDepth {
     slope: [f64; 2],
     /// At the centre of pixel (0, 0).
     origin: f64,
+    nearest: f32,
 }
 
 impl LoopDepth {
-    /// `normal` is that of the loop in 1/256 px; `x` and `y` are the pixels that may be covered.
+    /// `normal` is that of the loop in 1/256 px; `x` and `y` are the pixels that may be covered. Each depth
+    /// is to bound those within `spread` px from below; none is nearer than `nearest`.
     #[inline(always)]
+    #[expect(clippy::too_many_arguments, reason = "what the caller knows already, inlined there")]
     fn new(
         corners: &[Corner],
         area: i64,
         normal: [f64; 2],
         depths: [f64; 2],
-        coverage: Coverage,
+        spread: f64,
         x: [i32; 2],
         y: [i32; 2],
+        nearest: f32,
     ) -> LoopDepth {
         let [mut slope_x, mut slope_y] = normal.map(|n| n * -256.0 / area as f64);
         // Where a tile's planes would differ by more than the polygon's depths, as on slivers, one depth is as good.
@@ -330,13 +344,8 @@ impl LoopDepth {
             let here = corner.z - (slope_x * corner.x as f64 + slope_y * corner.y as f64) * (1.0 / 256.0);
             origin = origin.min(here);
         }
-        let slope = slope_x.abs() + slope_y.abs();
-        origin -= match coverage {
-            Coverage::Sampled => 0.0,
-            // The farthest point of the pixel's square, and corners that a finer image snaps to other places.
-            Coverage::Under => slope * (0.5 + 2.0 * SNAP_PX),
-        };
-        let mut depth = LoopDepth { slope: [slope_x, slope_y], origin };
+        origin -= (slope_x.abs() + slope_y.abs()) * spread;
+        let mut depth = LoopDepth { slope: [slope_x, slope_y], origin, nearest };
         // Rounding in f32, over all tiles that are touched.
         let reach = |[first, last]: [i32; 2], side: usize| {
             let side = side as i32;
@@ -361,6 +370,10 @@ impl LoopDepth {
     #[inline(always)]
     fn in_row(&self, first: usize, tile_y: usize) -> RowPlane {
         let at = self.at((first * TILE_X) as f64, (tile_y * TILE_Y) as f64);
-        RowPlane { plane: Plane { at: at as f32, dx: self.slope[0] as f32, dy: self.slope[1] as f32 }, first }
+        RowPlane {
+            plane: Plane { at: at as f32, dx: self.slope[0] as f32, dy: self.slope[1] as f32 },
+            first,
+            nearest: self.nearest,
+        }
     }
 }

@@ -8,8 +8,8 @@ use fearless_simd::f64x8;
 use fearless_simd::prelude::*;
 use glam::DVec3;
 
-use super::lanes::{Plane, TILE_X, TILE_Y, columns_outward, ramp, splat};
-use super::outline::{Outline, tangents};
+use super::lanes::{Plane, TILE_X, TILE_Y, columns_outward, narrow, ramp, splat};
+use super::outline::{EDGES_MAX, Outline, tangents};
 use super::{Coverage, LOOP_MAX, MaskedDepth};
 use crate::Aabb;
 use crate::raster_sampled::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
@@ -191,6 +191,13 @@ fn place<S: Simd>(
     Some(Place { x, y, z })
 }
 
+/// Where edges are in a row, given what they turn up to it; cut to where f32 still tells columns apart.
+#[inline(always)]
+fn offsets<S: Simd>(simd: S, origin: &[f64; EDGES_MAX], turned: f64x8<S>) -> [f32; EDGES_MAX] {
+    let at = simd.max_f64x8(f64x8::from_slice(simd, origin) + turned, f64x8::splat(simd, -1e5));
+    narrow(simd, simd.min_f64x8(at, f64x8::splat(simd, 1e5))).into()
+}
+
 /// The eight corners of a box along an axis, x fastest.
 #[inline(always)]
 fn along<S: Simd>(simd: S, axis: DVec3, min: DVec3, size: DVec3) -> f64x8<S> {
@@ -245,7 +252,7 @@ impl MaskedDepth {
     #[inline(always)]
     fn sees_in_detail<S: Simd>(&self, simd: S, asked: &Place, outline: &Outline) -> bool {
         let Some(projector) = &self.projector else { return true };
-        let detail = outline.detail(projector);
+        let detail = outline.detail(simd, projector);
         let tiles_x = [asked.x[0] as usize / TILE_X, asked.x[1] as usize / TILE_X];
         let tiles_y = [asked.y[0] as usize / TILE_Y, asked.y[1] as usize / TILE_Y];
         let mut read = 0;
@@ -257,11 +264,13 @@ impl MaskedDepth {
             let top = (tile_y * TILE_Y) as f64;
             let rows = ramp(simd);
             let (mut from, mut to) = (splat(simd, asked.x[0] as f32), splat(simd, asked.x[1] as f32));
-            for [origin, turn] in &detail.left[..detail.left_count] {
-                from = simd.max_f32x8(from, rows * (*turn as f32) + (origin + turn * top).clamp(-1e5, 1e5) as f32);
-            }
-            for [origin, turn] in &detail.right[..detail.right_count] {
-                to = simd.min_f32x8(to, rows * (*turn as f32) + (origin + turn * top).clamp(-1e5, 1e5) as f32);
+            let turned = f64x8::from_slice(simd, &detail.turn) * top;
+            let left = offsets(simd, &detail.left, turned);
+            let right = offsets(simd, &detail.right, turned);
+            for i in 0..detail.edge_count {
+                let across = rows * (detail.turn[i] as f32);
+                from = simd.max_f32x8(from, across + left[i]);
+                to = simd.min_f32x8(to, across + right[i]);
             }
             let (first, last) = (asked.y[0] as f32 - top as f32, asked.y[1] as f32 - top as f32);
             let inside = rows.simd_ge(splat(simd, first)) & rows.simd_le(splat(simd, last)) & from.simd_le(to + 1.0);

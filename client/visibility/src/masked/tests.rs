@@ -3,7 +3,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::*;
-use crate::{DepthBuffer, ItemBuffer, Resolution, Scene, Triangle};
+use crate::{DepthBuffer, Face, ItemBuffer, Resolution, Scene, Triangle};
 
 const RESOLUTIONS: [(u32, u32); 6] = [(1, 1), (1, 64), (33, 17), (64, 64), (70, 3), (320, 240)];
 
@@ -317,49 +317,98 @@ fn rooms(rng: &mut Pcg64, side: usize) -> Vec<[DVec3; 4]> {
     quads
 }
 
-#[test]
-fn it_hides_nearly_all_that_exact_depths_hide() {
-    let mut rng = Pcg64::seed_from_u64(6);
+/// Of the boxes in view: how many a depth for each pixel hides, how many of these the masks hide, how many only they hide.
+fn tightness(view: &View, order: &[[DVec3; 4]], boxes: &[Aabb]) -> [usize; 3] {
     let mut image = MaskedDepth::new(Coverage::Sampled);
-    let [mut exact, mut both, mut more] = [0; 3];
-    let quads = rooms(&mut rng, 8);
+    image.begin(view);
+    let mut triangles = Vec::new();
+    for quad in order {
+        image.draw_polygon(quad, Sides::Both);
+        for i in [[0, 1, 2], [0, 2, 3]] {
+            let corners = i.map(|i: usize| quad[i].as_vec3());
+            triangles.push(Triangle { corners, sides: Sides::Both, occludes: true });
+        }
+    }
+    let scene = Scene::from_triangles(triangles);
+    let mut depth = DepthBuffer::new(view);
+    depth.draw(&scene, &(0..scene.triangles().len() as u32).collect::<Vec<_>>());
+    let mut counts = [0; 3];
+    for aabb in boxes.iter().filter(|aabb| image.in_view(aabb)) {
+        let [by_depth, by_masks] = [depth.hides(&Bound::Box(*aabb)), !image.sees_box(aabb)];
+        counts[0] += usize::from(by_depth);
+        counts[1] += usize::from(by_depth && by_masks);
+        counts[2] += usize::from(by_masks && !by_depth);
+    }
+    counts
+}
+
+fn shuffle<T>(rng: &mut Pcg64, items: &mut [T]) {
+    for i in (1..items.len()).rev() {
+        items.swap(i, rng.random_range(0..=i));
+    }
+}
+
+/// Both hide the same but for one box in a thousand, and the silhouettes and planes of the masks hide more.
+#[track_caller]
+fn assert_tight(what: &str, [exact, both, more]: [usize; 3]) {
+    assert!(exact > 3000 && both * 1000 >= exact * 999 && more > 0, "{what}: {both} of {exact}, {more} more");
+}
+
+#[test]
+fn it_hides_nearly_all_that_exact_depths_hide_in_rooms_in_any_order() {
+    let mut rng = Pcg64::seed_from_u64(6);
+    let [mut nearest_first, mut any_order] = [[0; 3]; 2];
+    let mut quads = rooms(&mut rng, 8);
     for _ in 0..12 {
         let eye = DVec3::new(rng.random_range(0.5..47.5), 1.7, rng.random_range(0.5..47.5));
         let view = View::level(eye, rng.random_range(0.0..6.3), 1.57, Resolution::new(512, 256));
-        let mut order: Vec<&[DVec3; 4]> = quads.iter().collect();
+        let boxes: Vec<Aabb> = (0..2000)
+            .map(|_| {
+                let half = DVec3::from_array(std::array::from_fn(|_| rng.random_range(0.1..0.6)));
+                let [x, y, z] = [0.0..48.0, 0.6..2.4, 0.0..48.0].map(|range| rng.random_range(range));
+                Aabb::around(DVec3::new(x, y, z), half)
+            })
+            .collect();
         let distance = |quad: &[DVec3; 4]| {
             let aabb = quad.iter().fold(Aabb::EMPTY, |aabb, corner| aabb.with_point(*corner));
             aabb.distance(eye)
         };
-        order.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
-        image.begin(&view);
-        let mut triangles = Vec::new();
-        for quad in order {
-            image.draw_polygon(quad, Sides::Both);
-            for i in [[0, 1, 2], [0, 2, 3]] {
-                let corners = i.map(|i: usize| quad[i].as_vec3());
-                triangles.push(Triangle { corners, sides: Sides::Both, occludes: true });
-            }
-        }
-        let scene = Scene::from_triangles(triangles);
-        let mut depth = DepthBuffer::new(&view);
-        depth.draw(&scene, &(0..scene.triangles().len() as u32).collect::<Vec<_>>());
-        for _ in 0..2000 {
-            let half = DVec3::from_array(std::array::from_fn(|_| rng.random_range(0.1..0.6)));
-            let centre =
-                DVec3::new(rng.random_range(0.0..48.0), rng.random_range(0.6..2.4), rng.random_range(0.0..48.0));
-            let bound = Bound::Box(Aabb::around(centre, half));
-            if !image.in_view(&bound.aabb().unwrap()) {
-                continue;
-            }
-            let [by_depth, by_masks] = [depth.hides(&bound), image.hides(&bound)];
-            exact += usize::from(by_depth);
-            both += usize::from(by_depth && by_masks);
-            more += usize::from(by_masks && !by_depth);
-        }
+        quads.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let counts = tightness(&view, &quads, &boxes);
+        nearest_first = std::array::from_fn(|i| nearest_first[i] + counts[i]);
+        shuffle(&mut rng, &mut quads);
+        let counts = tightness(&view, &quads, &boxes);
+        any_order = std::array::from_fn(|i| any_order[i] + counts[i]);
     }
-    // 99.5 % when this was written, and 16 that only silhouettes and planes hide.
-    assert!(exact > 3000 && both * 1000 >= exact * 990 && more > 0, "{both} of {exact}, {more} more");
+    assert_tight("nearest first", nearest_first);
+    assert_tight("in any order", any_order);
+}
+
+#[test]
+fn it_hides_nearly_all_that_exact_depths_hide_in_a_soup_in_any_order() {
+    let mut rng = Pcg64::seed_from_u64(8);
+    let mut counts = [0; 3];
+    for round in 0..12 {
+        // Sizes that leave no tile open, so that most boxes are behind something.
+        let size = [1.0, 3.0, 8.0][round % 3];
+        let quads: Vec<[DVec3; 4]> = (0..1500)
+            .map(|_| {
+                let at = any_point(&mut rng, 1.0).normalize() * rng.random_range(size..30.0);
+                let (u, v) = (any_point(&mut rng, 1.0) * size, any_point(&mut rng, 1.0) * size);
+                [at - u - v, at + u - v, at + u + v, at - u + v]
+            })
+            .collect();
+        let boxes: Vec<Aabb> = (0..5000)
+            .map(|_| {
+                let at = any_point(&mut rng, 1.0).normalize() * rng.random_range(4.0..40.0);
+                Aabb::around(at, any_point(&mut rng, 0.5).abs())
+            })
+            .collect();
+        let view = View::level(DVec3::ZERO, rng.random_range(0.0..6.3), 1.57, Resolution::new(300, 150));
+        let of_view = tightness(&view, &quads, &boxes);
+        counts = std::array::from_fn(|i| counts[i] + of_view[i]);
+    }
+    assert_tight("soup", counts);
 }
 
 #[test]
@@ -380,6 +429,32 @@ fn a_closed_image_hides_everything_beyond() {
     assert!(!image.sees_box(&Aabb::around(DVec3::NEG_Z * 5.0, DVec3::ONE)));
     assert!(image.sees_box(&Aabb::around(DVec3::new(3.0, 0.0, -2.0), DVec3::ONE)));
     assert!(!image.is_closed_before(f64::NAN) && !image.is_closed_before(-1.0));
+}
+
+#[test]
+fn a_seal_is_believed_if_its_border_and_cracks_are_closed() {
+    // Columns of pixel centres lie on the crack and on the left and right border.
+    let view = View::level(DVec3::ZERO, 0.0, 1.5, Resolution::new(101, 51));
+    let cracks = [[DVec3::new(0.0, -1.0, -5.0), DVec3::new(0.0, 1.0, -5.0)]];
+    let side = 20.0 * 5.0 / view.focal_px();
+    let rectangle = Aabb { min: DVec3::new(-side, -1.0, -5.0), max: DVec3::new(side, 1.0, -5.0) };
+    let face = Face::ALL.into_iter().find(|face| face.axis() == 2 && !face.is_positive()).unwrap();
+    let believed = |coverage, walls: &[[f64; 3]]| {
+        let mut image = MaskedDepth::new(coverage);
+        image.begin(&view);
+        for [from, to, z] in walls {
+            let corners = [[*from, -2.0], [*to, -2.0], [*to, 2.0], [*from, 2.0]];
+            image.draw_polygon(&corners.map(|[x, y]| DVec3::new(x, y, -z)), Sides::Front);
+        }
+        image.believes(&SealedFace { rectangle, face, cracks: &cracks, skin: 0.1 })
+    };
+    let sampled = |walls: &[[f64; 3]]| believed(Coverage::Sampled, walls);
+    assert!(sampled(&[[-3.0, 0.0, 5.0], [0.0, 3.0, 5.0]]));
+    assert!(sampled(&[[-3.0, -0.01, 5.0], [0.01, 3.0, 5.0], [-0.5, 0.5, 3.0]]), "something nearer closes the gap");
+    assert!(!sampled(&[[-3.0, -0.01, 5.0], [0.01, 3.0, 5.0]]), "a gap");
+    assert!(!sampled(&[[-3.0, 3.0, 5.1]]), "farther than the face");
+    assert!(!sampled(&[[-1.0, 3.0, 5.0]]), "it ends before the border");
+    assert!(!believed(Coverage::Under, &[[-3.0, 3.0, 5.0]]), "the argument is about pixel centres");
 }
 
 #[test]

@@ -5,12 +5,18 @@
 //! change keeps this: **no pixel is closed nearer than something that was drawn over it.** (Hasselgren, Andersson and
 //! Akenine-Möller, "Masked Software Occlusion Culling", 2016, with planes where they keep one depth.)
 //!
+//! Where a third plane comes to a tile, their heuristics drop or flatten one. Here the tile becomes *detailed*: its working layer is
+//! a depth for each pixel, and nothing is lost however things are ordered. It is plain again once a reference is nearer
+//! than all of them. Few tiles are like this at a time, since the insides of walls are not.
+//!
 //! References lie in blocks of eight tiles along a row, since the inside of a wall is nothing else.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, u32x8};
 
 use super::lanes::{LAST_X, LAST_Y, Plane, TILE_X, TILE_Y, above, is_empty, ramp, splat};
+use super::merge::{Fits, SAME};
+use super::pixels::{self, Pixels};
 
 /// Tiles of a block: lanes.
 pub(super) const BLOCK: usize = 8;
@@ -28,6 +34,9 @@ struct Block {
 struct Working {
     mask: [u32; TILE_Y],
     plane: Plane,
+    /// Place of the tile's pixels, one on, which stand for the plane; 0 in a plain tile. Pixels in the mask may be open still,
+    /// at a depth of 0.
+    detail: u32,
 }
 
 /// The tiles of an image.
@@ -45,6 +54,9 @@ pub(super) struct Tiles {
     top: Vec<[f32; BLOCK]>,
     blocks: Vec<Block>,
     working: Vec<Working>,
+    /// Of detailed tiles, the first so many of them in use. Kept from frame to frame.
+    pixels: Vec<Pixels>,
+    detailed: usize,
 }
 
 /// A polygon's plane, cut to one row of tiles.
@@ -53,6 +65,8 @@ pub(super) struct RowPlane {
     /// In the tile at column `first`.
     pub(super) plane: Plane,
     pub(super) first: usize,
+    /// No pixel that the polygon covers is nearer.
+    pub(super) nearest: f32,
 }
 
 impl RowPlane {
@@ -72,6 +86,7 @@ impl Tiles {
         (self.width, self.height) = (width as i32, height as i32);
         [self.tiles_x, self.tiles_y] = tiles;
         self.blocks_x = blocks_x;
+        self.detailed = 0;
         // Planes and masks need no clearing: `least` and `top` say that there are none.
         self.working.resize(blocks * BLOCK, Working::default());
         self.blocks.resize(blocks, Block::default());
@@ -167,11 +182,56 @@ impl Tiles {
             let better = (worst.simd_ge(zero) & old_least.simd_gt(zero)) | p_least.simd_gt(old_least);
             let inside = columns.simd_ge(splat(simd, from as f32)) & columns.simd_le(splat(simd, to as f32));
             let take = better & inside;
+            // Where neither is nearer everywhere, what is not taken would be lost.
+            let same = simd.max_f32x8(old_least, p_least) * SAME;
+            let most = d_at + simd.max_f32x8(d_x, zero) + simd.max_f32x8(d_y, zero);
+            let cross = worst.simd_lt(zero - same) & most.simd_gt(same) & old_least.simd_gt(zero) & inside;
+            if cross.any_true() {
+                self.cross(simd, index, cross.to_bitmask(), &at.into(), row);
+            }
+            let take = take & !cross;
+            let (block, least) = (&mut self.blocks[index], &mut self.least[index]);
+            let old_least = f32x8::from_slice(simd, least);
             take.select(at, f32x8::from_slice(simd, &block.at)).store_slice(&mut block.at);
             take.select(splat(simd, p.dx), f32x8::from_slice(simd, &block.dx)).store_slice(&mut block.dx);
             take.select(splat(simd, p.dy), f32x8::from_slice(simd, &block.dy)).store_slice(&mut block.dy);
             take.select(p_least, old_least).store_slice(least);
         }
+    }
+
+    /// Closes tiles with a plane that starts at the depths `at` and crosses their references: pixel by pixel.
+    #[cold]
+    fn cross<S: Simd>(&mut self, simd: S, index: usize, tiles: u64, at: &[f32; BLOCK], row: &RowPlane) {
+        for lane in (0..BLOCK).filter(|lane| tiles >> lane & 1 == 1) {
+            let plane = Plane { at: at[lane], ..row.plane };
+            let top = plane.greatest();
+            let top = if row.nearest < top { row.nearest } else { top };
+            if top > self.least[index][lane] {
+                self.close_pixels(simd, index, lane, u32x8::splat(simd, u32::MAX), &plane, top);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn reference(&self, index: usize, lane: usize) -> Plane {
+        let block = &self.blocks[index];
+        Plane { at: block.at[lane], dx: block.dx[lane], dy: block.dy[lane] }
+    }
+
+    #[inline(always)]
+    fn set_reference(&mut self, index: usize, lane: usize, plane: &Plane, least: f32) {
+        let block = &mut self.blocks[index];
+        (block.at[lane], block.dx[lane], block.dy[lane]) = (plane.at, plane.dx, plane.dy);
+        self.least[index][lane] = least;
+    }
+
+    #[inline(always)]
+    fn set_working<S: Simd>(&mut self, index: usize, lane: usize, mask: u32x8<S>, plane: &Plane, top: f32) {
+        let working = &mut self.working[index * BLOCK + lane];
+        mask.store_slice(&mut working.mask);
+        working.plane = *plane;
+        working.detail = 0;
+        self.top[index][lane] = top;
     }
 
     /// Closes the pixels of `mask` in one tile.
@@ -188,59 +248,129 @@ impl Tiles {
         let index = tile_y * self.blocks_x + tile_x / BLOCK;
         let lane = tile_x % BLOCK;
         let p_top = p.greatest();
+        let p_top = if row.nearest < p_top { row.nearest } else { p_top };
         let least = self.least[index][lane];
         if !(p_top > least) {
             return;
         }
-        let block = &self.blocks[index];
-        let reference = Plane { at: block.at[lane], dx: block.dx[lane], dy: block.dy[lane] };
+        let reference = self.reference(index, lane);
         if least > 0.0 && p.minus(&reference).greatest() <= 0.0 {
             return;
         }
-        let working = &mut self.working[index * BLOCK + lane];
         let top = self.top[index][lane];
         if !(top > least) {
-            mask.store_slice(&mut working.mask);
-            working.plane = p;
-            self.top[index][lane] = p_top;
+            self.set_working(index, lane, mask, &p, p_top);
             return;
         }
-        let old_mask = u32x8::from_slice(simd, &working.mask);
-        let union = mask | old_mask;
-        let both = lower(simd, &p, mask, &working.plane, old_mask);
-        if union.simd_eq(u32x8::splat(simd, u32::MAX)).all_true() {
-            // The tile is closed. The nearer part stays as working layer.
-            if p_top > top {
-                mask.store_slice(&mut working.mask);
-                working.plane = p;
-                self.top[index][lane] = p_top;
-            }
-            let both_least = both.at + self.fall(&both, tile_x + 1 == self.tiles_x, tile_y);
-            let block = &mut self.blocks[index];
-            if both_least > least || (least > 0.0 && both.minus(&reference).least() >= 0.0) {
-                (block.at[lane], block.dx[lane], block.dy[lane]) = (both.at, both.dx, both.dy);
-                self.least[index][lane] = both_least;
-            }
-            return;
-        }
-        let (mut kept, mut plane) = (union, both);
-        if least > 0.0 {
-            // Something closes the tile already: keep what adds most to it.
-            let [merged, new, old] = [
-                gain(simd, union, &both.minus(&reference)),
-                gain(simd, mask, &p.minus(&reference)),
-                gain(simd, old_mask, &working.plane.minus(&reference)),
-            ];
-            if old >= merged && old >= new {
+        let working = &self.working[index * BLOCK + lane];
+        if working.detail == 0 {
+            let q = working.plane;
+            let q_mask = u32x8::from_slice(simd, &working.mask);
+            let fits = Fits::new(simd, &p, mask, &q, q_mask, (if p_top > top { p_top } else { top }) * SAME);
+            if fits.p_adds_nothing {
                 return;
             }
-            if new > merged {
-                (kept, plane) = (mask, p);
+            if fits.q_adds_nothing {
+                self.set_working(index, lane, mask, &p, p_top);
+                return;
+            }
+            let union = mask | q_mask;
+            if union.simd_eq(u32x8::splat(simd, u32::MAX)).all_true() {
+                // The tile is closed. The plane that serves for both closes it, the other part stays as working layer.
+                let wanted = |plane: &Plane| least <= 0.0 || plane.minus(&reference).least() >= 0.0;
+                if fits.p_serves && wanted(&fits.p_lowered) {
+                    let p_least = fits.p_lowered.at + self.fall(&p, tile_x + 1 == self.tiles_x, tile_y);
+                    self.set_reference(index, lane, &fits.p_lowered, p_least);
+                    return;
+                }
+                if fits.q_serves && wanted(&fits.q_lowered) {
+                    let q_least = fits.q_lowered.at + self.fall(&q, tile_x + 1 == self.tiles_x, tile_y);
+                    self.set_reference(index, lane, &fits.q_lowered, q_least);
+                    self.set_working(index, lane, mask, &p, p_top);
+                    return;
+                }
+            } else if fits.is_same {
+                let plane = if fits.p_serves { fits.p_lowered } else { fits.q_lowered };
+                self.set_working(index, lane, union, &plane, if p_top > top { p_top } else { top });
+                return;
             }
         }
-        kept.store_slice(&mut working.mask);
-        working.plane = plane;
-        self.top[index][lane] = plane.greatest();
+        if least > 0.0 && is_empty(simd, mask & !above(simd, &reference.minus(&p), 0.0)) {
+            return;
+        }
+        self.close_pixels(simd, index, lane, mask, &p, p_top);
+    }
+
+    /// Closes pixels of a tile one by one; makes it detailed if it is not.
+    #[inline(always)]
+    fn close_pixels<S: Simd>(&mut self, simd: S, index: usize, lane: usize, mask: u32x8<S>, plane: &Plane, top: f32) {
+        // One copy of this for each level.
+        simd.vectorize(
+            #[inline(always)]
+            || self.close_pixels_inlined(simd, index, lane, mask, plane, top),
+        )
+    }
+
+    #[inline(always)]
+    fn close_pixels_inlined<S: Simd>(
+        &mut self,
+        simd: S,
+        index: usize,
+        lane: usize,
+        mask: u32x8<S>,
+        plane: &Plane,
+        top: f32,
+    ) {
+        let all = u32x8::splat(simd, u32::MAX);
+        let least = self.least[index][lane];
+        let in_force = self.top[index][lane] > least;
+        if !in_force || self.working[index * BLOCK + lane].detail == 0 {
+            self.make_detailed(simd, index, lane, in_force);
+        }
+        if !in_force || top > self.top[index][lane] {
+            self.top[index][lane] = top;
+        }
+        let working = &mut self.working[index * BLOCK + lane];
+        let covered = u32x8::from_slice(simd, &working.mask) | mask;
+        covered.store_slice(&mut working.mask);
+        let pixels = &mut self.pixels[working.detail as usize - 1];
+        pixels::raise(simd, pixels, mask, plane);
+        if !(least > 0.0 || covered.simd_eq(all).all_true()) {
+            return;
+        }
+        if pixels::least(simd, pixels) > least {
+            // They are a better reference, since most questions are answered by its least depth.
+            if least > 0.0 {
+                let block = &self.blocks[index];
+                let reference = Plane { at: block.at[lane], dx: block.dx[lane], dy: block.dy[lane] };
+                pixels::raise(simd, pixels, all, &reference);
+            }
+            let closed = pixels::least(simd, pixels);
+            self.set_reference(index, lane, &Plane { at: closed, dx: 0.0, dy: 0.0 }, closed);
+        }
+    }
+
+    /// Gives a tile pixels. They begin with its working layer if that is in force.
+    #[inline(always)]
+    fn make_detailed<S: Simd>(&mut self, simd: S, index: usize, lane: usize, in_force: bool) {
+        if self.detailed == self.pixels.len() {
+            self.pixels.push([0.0; TILE_X * TILE_Y]);
+        }
+        let (tile_x, tile_y) = (index % self.blocks_x * BLOCK + lane, index / self.blocks_x);
+        let columns = (self.width as usize - tile_x * TILE_X).min(TILE_X);
+        let rows = (self.height as usize - tile_y * TILE_Y).min(TILE_Y);
+        let pixels = &mut self.pixels[self.detailed];
+        let beyond = pixels::open_all(pixels, columns, rows);
+        let working = &mut self.working[index * BLOCK + lane];
+        let mut covered = u32x8::from_slice(simd, &beyond);
+        if in_force {
+            let mask = u32x8::from_slice(simd, &working.mask);
+            pixels::raise(simd, pixels, mask, &working.plane);
+            covered |= mask;
+        }
+        covered.store_slice(&mut working.mask);
+        self.detailed += 1;
+        working.detail = self.detailed as u32;
     }
 
     /// Pixels among `asked` of a tile that are not certainly closed nearer than the farthest of `limits`: depths in this tile
@@ -256,8 +386,7 @@ impl Tiles {
     ) -> bool {
         let index = tile_y * self.blocks_x + tile_x / BLOCK;
         let lane = tile_x % BLOCK;
-        let block = &self.blocks[index];
-        let reference = Plane { at: block.at[lane], dx: block.dx[lane], dy: block.dy[lane] };
+        let reference = self.reference(index, lane);
         let mut open = asked;
         if self.least[index][lane] > 0.0 {
             for limit in limits {
@@ -271,6 +400,9 @@ impl Tiles {
             return true;
         }
         let working = &self.working[index * BLOCK + lane];
+        if working.detail != 0 {
+            return pixels::any_open(simd, &self.pixels[working.detail as usize - 1], open, limits);
+        }
         let mask = u32x8::from_slice(simd, &working.mask);
         if !is_empty(simd, open & !mask) {
             return true;
@@ -292,24 +424,24 @@ impl Tiles {
         whole || (self.top[index][lane] != 0.0 && working.mask[y as usize % TILE_Y] >> (x % TILE_X as u32) & 1 == 1)
     }
 
-    /// What closes a pixel, for tests: the nearer of both layers.
-    #[cfg(test)]
+    /// The depth at which a pixel is closed at least.
     pub(super) fn depth_at(&self, x: u32, y: u32) -> f32 {
         let (tile_x, tile_y) = (x as usize / TILE_X, y as usize / TILE_Y);
         let (i, j) = (x as usize % TILE_X, y as usize % TILE_Y);
         let index = tile_y * self.blocks_x + tile_x / BLOCK;
         let lane = tile_x % BLOCK;
-        let block = &self.blocks[index];
         let at = |plane: Plane| plane.at + i as f32 * plane.dx + j as f32 * plane.dy;
-        let mut depth = 0.0_f32;
-        if self.least[index][lane] > 0.0 {
-            depth = depth.max(at(Plane { at: block.at[lane], dx: block.dx[lane], dy: block.dy[lane] }));
+        let reference = if self.least[index][lane] > 0.0 { at(self.reference(index, lane)) } else { 0.0 };
+        if !(self.top[index][lane] > self.least[index][lane]) {
+            return reference;
         }
         let working = &self.working[index * BLOCK + lane];
-        if self.top[index][lane] > self.least[index][lane] && working.mask[j] >> i & 1 == 1 {
-            depth = depth.max(at(working.plane));
-        }
-        depth
+        let nearer = match working.detail as usize {
+            0 if working.mask[j] >> i & 1 == 1 => at(working.plane),
+            0 => 0.0,
+            place => self.pixels[place - 1][j * TILE_X + i],
+        };
+        reference.max(nearer)
     }
 }
 
@@ -317,36 +449,4 @@ impl Tiles {
 #[inline(always)]
 fn nearer<S: Simd>(simd: S, plane: &Plane, limit: &Plane) -> u32x8<S> {
     above(simd, &plane.minus(limit), plane.rounding() + limit.rounding())
-}
-
-/// What pixels at these depths over the reference are worth.
-#[inline(always)]
-fn gain<S: Simd>(simd: S, mask: u32x8<S>, over: &Plane) -> f32 {
-    simd.reduce_sum_u32x8(simd.count_ones_u32x8(mask)) as f32 * over.middle()
-}
-
-/// A plane that lies nowhere above `p` within its mask, and nowhere above `q` within its own.
-#[inline(always)]
-fn lower<S: Simd>(simd: S, p: &Plane, p_mask: u32x8<S>, q: &Plane, q_mask: u32x8<S>) -> Plane {
-    let slack = p.rounding() + q.rounding();
-    // Each, a little lower, where it serves for the other too: two walls that meet in a far corner, or parts of one wall.
-    let p_lowered = Plane { at: p.at - 2.0 * slack, ..*p };
-    let q_lowered = Plane { at: q.at - 2.0 * slack, ..*q };
-    let p_serves = is_empty(simd, q_mask & !above(simd, &q.minus(&p_lowered), slack));
-    let q_serves = is_empty(simd, p_mask & !above(simd, &p.minus(&q_lowered), slack));
-    match (p_serves, q_serves) {
-        (true, true) if p_lowered.middle() >= q_lowered.middle() => p_lowered,
-        (true, false) => p_lowered,
-        (_, true) => q_lowered,
-        (false, false) => {
-            // Moved down until it is below the other in the whole tile.
-            let p_over = p_lowered.minus(q).greatest().max(0.0);
-            let q_over = q_lowered.minus(p).greatest().max(0.0);
-            let p_below = Plane { at: p_lowered.at - p_over, ..*p };
-            let q_below = Plane { at: q_lowered.at - q_over, ..*q };
-            let level = Plane { at: p_lowered.least().min(q_lowered.least()), dx: 0.0, dy: 0.0 };
-            let better = if p_below.middle() >= q_below.middle() { p_below } else { q_below };
-            if better.middle() >= level.middle() { better } else { level }
-        }
-    }
 }

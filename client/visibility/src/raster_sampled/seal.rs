@@ -25,7 +25,7 @@ use super::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
 use crate::{Aabb, SealedFace};
 
 /// Whether the argument above holds for a face in the image of `projector`, whose pixels have at least depth `depth_at`.
-pub(super) fn holds(projector: &Projector, seal: &SealedFace<'_>, depth_at: impl Fn(usize, usize) -> f32) -> bool {
+pub(crate) fn holds(projector: &Projector, seal: &SealedFace<'_>, depth_at: impl Fn(usize, usize) -> f32) -> bool {
     let axis = seal.face.axis();
     let plane = seal.rectangle.min[axis];
     let corners = rectangle_corners(&seal.rectangle, axis).map(|corner| projector.view_point(corner));
