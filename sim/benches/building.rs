@@ -25,7 +25,7 @@ fn frame(bencher: Bencher, culler: &str) {
     few.cameras.truncate(4);
     let resolutions = vec![RESOLUTION];
     let config = CullConfig { settings, resolutions, eye_radii: vec![0.0], eyes: 1, repeats: 0, seed: 7 };
-    assert!(run(&world, &few, &config, &registry).rows.iter().all(|row| row.ok));
+    assert!(run(&world, &few, &config, &registry, || {}).rows.iter().all(|row| row.ok));
 
     let setting = &config.settings[0];
     let mut candidate = (registry.entry(culler).unwrap().make)(&mut Shop::new(world.scene.clone()), setting);

@@ -59,7 +59,7 @@ fn balls() {
         let mut scratch = all_round.scratch(128);
         let radii = [0.0, 0.15, 0.3, 1.0];
         let (mut time, mut kept, mut work) = ([0.0; 4], [0; 4], [[0; 3]; 4]);
-        let eyes = 300;
+        let eyes = 150;
         for _ in 0..eyes {
             let centre = random_eye(22, 0.0, &mut rng);
             let avatars: Vec<DVec3> = (0..100).map(|_| random_eye(22, 0.0, &mut rng).with_y(0.9)).collect();

@@ -5,10 +5,9 @@
 
 use std::sync::Arc;
 
-use glam::DVec3;
-
 use crate::occluders::{Occluders, Polygon};
 use crate::under::{RegionError, UnderOcclusion};
+use crate::under_region::NARROW;
 use crate::{Aabb, Bound, EyeRegion, Occlusion, Scene};
 
 /// A scene's occluders in a tree, ready to be looked at from anywhere. Never changes once made.
@@ -98,14 +97,15 @@ impl AllRound {
         assert!(Arc::ptr_eq(&self.occluders, scratch.occlusion.occluders()), "scratch was made for another scene");
         scratch.occlusion.start(region)?;
         scratch.stats = AllRoundStats::default();
-        self.walk(region.centre, scratch);
+        self.walk(region, scratch);
         let drawn = scratch.occlusion.stats();
         scratch.stats.polygons = drawn.polygons;
         scratch.stats.joints = drawn.joints;
         Ok(&scratch.occlusion)
     }
 
-    fn walk(&self, eye: DVec3, scratch: &mut AllRoundScratch) {
+    fn walk(&self, region: EyeRegion, scratch: &mut AllRoundScratch) {
+        let eye = region.centre;
         let AllRoundScratch { occlusion, stack, stats } = scratch;
         let mut hidden = |occlusion: &UnderOcclusion, aabb: &Aabb| {
             let hidden = occlusion.hides(&Bound::Box(*aabb));
@@ -115,7 +115,8 @@ impl AllRound {
         };
         let reach = occlusion.focal() / WIDTH_MIN_PX;
         let too_narrow = |width: f64, aabb: &Aabb| {
-            eye.clamp(aabb.min, aabb.max).distance_squared(eye) > (width * reach) * (width * reach)
+            width < NARROW * region.radius
+                || eye.clamp(aabb.min, aabb.max).distance_squared(eye) > (width * reach) * (width * reach)
         };
         stack.clear();
         if !self.nodes.is_empty() {

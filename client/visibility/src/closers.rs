@@ -40,7 +40,8 @@ const SLOPE_MIN: f64 = 1e-3;
 /// An edge may end this far behind the polygon that closes it: as walls do that run into each other.
 const SUNK_MAX: f64 = 0.35;
 
-/// More closers per edge are not kept. Which are best is a guess: those with the greatest common stretch.
+/// More closers per edge are not kept. Which are best is a guess: those with the greatest common stretch, and of equals the
+/// wide ones, whose own open edges are farther away.
 const PER_EDGE_MAX: usize = 3;
 
 /// The closers of each polygon in order of edge, best first.
@@ -77,35 +78,44 @@ pub(crate) fn find(occluders: &Occluders) -> Vec<Vec<Closer>> {
     found.into_iter().map(best).collect()
 }
 
-/// Appends the edges of `closed` that reach the plane of `closer` near it, with the area of their common stretch's box.
+/// Appends the edges of `closed` that reach the plane of `closer` near it, best first by their common stretch.
 fn relate(occluders: &Occluders, closed: u32, closer: u32, found: &mut Vec<(f64, Closer)>) {
     let plane = &occluders.polygons[closer as usize];
-    let normal = occluders.polygons[closed as usize].normal;
-    let origin = occluders.corners(closer)[0].as_dvec3();
-    let corners = occluders.corners(closed);
-    for (edge, from) in corners.iter().enumerate() {
-        let (from, to) = (from.as_dvec3(), corners[(edge + 1) % corners.len()].as_dvec3());
-        let (low, high) = (from.min(to), from.max(to));
-        let common = Aabb::new(low.max(plane.aabb.min), high.min(plane.aabb.max)).size();
+    for edge in 0..occluders.corners(closed).len() as u32 {
+        let [from, to] = ends(occluders, closed, edge);
+        let common = Aabb::new(from.min(to).max(plane.aabb.min), from.max(to).min(plane.aabb.max)).size();
         if common.min_element() < -SUNK_MAX {
             continue;
         }
-        let along = (to - from).normalize();
-        if plane.normal.dot(along).abs() > EXACT {
-            continue;
-        }
-        let slope = plane.normal.dot(normal.cross(along));
-        let height = plane.normal.dot(from - origin);
-        if slope.abs() < SLOPE_MIN || height.abs() > SUNK_MAX {
-            continue;
-        }
-        let size = (from - origin).abs().element_sum() + (to - from).abs().element_sum();
-        let height = if height.abs() <= EXACT * size { 0.0 } else { height };
+        let Some(relation) = relation(occluders, closed, edge, closer) else { continue };
         // Sunk on the one side is short of the plane on the other, so a closer works for one way of facing, or touches.
-        let rank = common.max(DVec3::ZERO).length() - 1e-3 * height.abs();
-        let closer = Closer { edge: edge as u32, polygon: closer, height, slope };
-        if closer.closes(false) || closer.closes(true) {
-            found.push((rank, closer));
+        if relation.height.abs() <= SUNK_MAX && (relation.closes(false) || relation.closes(true)) {
+            let stretch = common.max(DVec3::ZERO).length();
+            found.push((stretch + 0.1 * plane.width.min(10.0) - 1e-3 * relation.height.abs(), relation));
         }
     }
+}
+
+/// How an edge of `closed` lies to the plane of `closer`, however far away; none unless it is parallel to it. Both must be flat.
+pub(crate) fn relation(occluders: &Occluders, closed: u32, edge: u32, closer: u32) -> Option<Closer> {
+    let normal = occluders.polygons[closer as usize].normal;
+    let [from, to] = ends(occluders, closed, edge);
+    let along = to - from;
+    let length = along.length();
+    if normal.dot(along).abs() > EXACT * length {
+        return None;
+    }
+    let slope = normal.dot(occluders.polygons[closed as usize].normal.cross(along)) / length;
+    if slope.abs() < SLOPE_MIN {
+        return None;
+    }
+    let across = from - occluders.corners(closer)[0].as_dvec3();
+    let height = normal.dot(across);
+    let height = if height.abs() <= EXACT * (across.abs().element_sum() + length) { 0.0 } else { height };
+    Some(Closer { edge, polygon: closer, height, slope })
+}
+
+fn ends(occluders: &Occluders, polygon: u32, edge: u32) -> [DVec3; 2] {
+    let corners = occluders.corners(polygon);
+    [edge as usize, (edge as usize + 1) % corners.len()].map(|i| corners[i].as_dvec3())
 }

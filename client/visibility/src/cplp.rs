@@ -53,6 +53,8 @@ pub struct Traversal {
     pub doubted: usize,
     /// Triangles drawn, each once: the size of the visible set.
     pub triangles_drawn: usize,
+    /// How many of these PLP drew by guess, before any query.
+    pub plp_triangles: usize,
     /// Polygons drawn as occluders, where these are not the triangles of the visible set.
     pub polygons_drawn: usize,
     /// Boxes of objects and clusters asked about.
@@ -263,6 +265,7 @@ impl Cplp {
         run.scratch.begin(cells);
         run.seed(eye, &*self.tessellation);
         run.plp(budget);
+        run.done.plp_triangles = run.scratch.visible.len();
         after_plp(&mut run);
         run.scratch.visible.sort_unstable();
         run.done.triangles_drawn = run.scratch.visible.len();

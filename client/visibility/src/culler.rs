@@ -86,8 +86,8 @@ impl Culler for FrustumBackface {
 
 /// Conservative PLP over any tessellation with the CPU's sampled depth buffer as its query back end.
 ///
-/// An eye region that is not the view's eye gets everything, since the depth buffer speaks for one eye; use
-/// [`Cplp::traverse`] with a target that is made for the region.
+/// An eye region that is not the view's eye gets everything, since the depth buffer speaks for one eye: see
+/// [`crate::RegionCuller`].
 #[derive(Clone, Debug)]
 pub struct CplpCuller {
     scene: Arc<Scene>,

@@ -4,7 +4,8 @@
 //! It is cPLP (Klosowski & Silva 2001, §3) with three differences, since here a query costs less than a triangle:
 //! - the **front holds faces**, not cells, and gives out the nearest first. A face is a smaller box than its cell, and only
 //!   faces that look away from the eye are passed, since along a segment from the eye each coordinate runs one way. So a
-//!   cell is not reached backwards;
+//!   cell is not reached backwards, and a wall that lies in a face hides it (see [`Walk::pushed`]), which is what sealed
+//!   faces are for (DESIGN.md §4, condition (f));
 //! - **not everything seen is drawn**: only facets that look large enough to hide something. What is seen is decided by
 //!   queries alone, so leaving out an occluder is never wrong;
 //! - what a seen cell holds is **asked about once more at the end**, object by object and cluster by cluster, when all
@@ -165,6 +166,9 @@ impl Walk<'_> {
     }
 }
 
+/// How much of a cell's skin is used; the rest is for rounding.
+const SKIN_SHARE: f64 = 0.5;
+
 /// Added to a face's number where it is a face of the hull, entered from outside.
 const HULL: u32 = 1 << 31;
 
@@ -189,10 +193,21 @@ impl Walk<'_> {
                 continue;
             }
             self.done.queries += 1;
-            if self.scratch.image.sees_box(&rectangle) {
+            let asked = if way & HULL != 0 { rectangle } else { self.pushed(&rectangle) };
+            if self.scratch.image.sees_box(&asked) {
                 self.enter(to);
             }
         }
+    }
+
+    /// A face as far behind itself as the skin of the cell before it allows: the same part of the image, but farther.
+    ///
+    /// So a wall in the face hides it. What a segment from the eye meets between the two is within the skin of the place
+    /// where the segment passes the face, so the cell before it lists it.
+    fn pushed(&self, rectangle: &Aabb) -> Aabb {
+        let reach = (rectangle.min - self.eye).abs().max((rectangle.max - self.eye).abs()).length();
+        let scale = 1.0 + self.cells.skin() * SKIN_SHARE / reach;
+        Aabb::new(self.eye + (rectangle.min - self.eye) * scale, self.eye + (rectangle.max - self.eye) * scale)
     }
 
     /// The face of a hull cell that lies in a face of the root box.

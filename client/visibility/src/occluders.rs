@@ -17,9 +17,8 @@
 //! step that could enlarge a polygon, dropping a corner in the middle of a straight edge, is taken only where the
 //! cross product is exactly 0.
 
-use std::collections::HashMap;
-
 use glam::{DVec3, Vec3};
+use rustc_hash::FxHashMap;
 
 use crate::closers::{self, Closer, EXACT};
 use crate::{Aabb, Scene, Sides};
@@ -165,7 +164,7 @@ impl Loops {
 
     /// One loop per occluding triangle of non-zero area.
     fn new(scene: &Scene) -> Loops {
-        let mut ids = HashMap::new();
+        let mut ids = FxHashMap::default();
         let mut positions = Vec::new();
         let mut loops = Vec::new();
         for (primitive, triangle) in scene.triangles().iter().enumerate() {
@@ -202,7 +201,7 @@ impl Loops {
     /// back could hide something, as long as the eye is outside; its box tells that well enough. (Not drawing something
     /// is never wrong.)
     fn close_shells(&mut self) {
-        let mut owners: HashMap<(u32, u32), Vec<u32>> = HashMap::new();
+        let mut owners: FxHashMap<(u32, u32), Vec<u32>> = FxHashMap::default();
         for (index, polygon) in self.loops.iter().enumerate() {
             for edge in edges(&polygon.corners) {
                 owners.entry(edge).or_default().push(index as u32);
@@ -243,7 +242,7 @@ impl Loops {
 
     /// Merges greedily across the longest edges first: those are the diagonals of quads.
     fn merge(&mut self) {
-        let mut owner: HashMap<(u32, u32), u32> = HashMap::new();
+        let mut owner: FxHashMap<(u32, u32), u32> = FxHashMap::default();
         for (index, polygon) in self.loops.iter().enumerate() {
             for edge in edges(&polygon.corners) {
                 owner.entry(edge).or_insert(index as u32);

@@ -17,6 +17,8 @@
 //! or on e, then on the border of both, which belongs to them. So each point of R is covered, at the farther of both
 //! planes' depths at worst, and no other border of either can touch these pixels. [`crate::Occluders`] lists such pairs; only edges
 //! that lie on *exactly* one line are paired.
+//!
+//! Eyes in a ball see past edges, so for a region with a radius edges and joints are others: [`crate::under_region`].
 
 use std::sync::Arc;
 
@@ -25,6 +27,7 @@ use glam::DVec3;
 use crate::occluders::Occluders;
 use crate::under_extent::{Extent, Seen};
 use crate::under_face::{Face, Region};
+use crate::under_region::NARROW;
 use crate::{Aabb, Bound, EyeRegion, Occlusion, SealedFace, Target, View};
 
 /// Occluders count from this many near distances on, along the image's axis. A camera that is turned by θ against it
@@ -247,6 +250,9 @@ impl Image {
         if std::mem::replace(&mut self.drawn[polygon as usize], frame) == frame {
             return;
         }
+        if occluders.polygons[polygon as usize].width < NARROW * self.radius {
+            return;
+        }
         let Some(setup) = self.slot(occluders, polygon) else { return };
         self.stats.polygons += 1;
         if self.radius > 0.0 {
@@ -283,7 +289,8 @@ impl Image {
 
     /// Whether the polygon was drawn in this frame and hides something.
     pub fn is_drawn(&self, polygon: u32) -> bool {
-        self.drawn[polygon as usize] == self.frame && self.slots[polygon as usize].1 != NONE
+        let (frame, slot) = self.slots[polygon as usize];
+        self.drawn[polygon as usize] == self.frame && frame == self.frame && slot != NONE
     }
 
     /// The polygon as seen from the eyes, set up at the first call in a frame. `None` if it hides nothing.

@@ -147,9 +147,9 @@ impl Region {
         region
     }
 
-    /// Like [`Region::add`], for a region made by [`Region::within`]. Returns whether it left any of its pixels out.
-    pub fn cut(&mut self, linear: Linear, error: f64) -> bool {
-        self.cut_raw(Linear { c: linear.c - linear.half_pixel() * (1.0 + 2.0 * INSET_PX) - error, ..linear })
+    /// Like [`Region::add`], for a region made by [`Region::within`].
+    pub fn cut(&mut self, linear: Linear, error: f64) {
+        self.cut_raw(Linear { c: linear.c - linear.half_pixel() * (1.0 + 2.0 * INSET_PX) - error, ..linear });
     }
 
     /// Keeps the pixels whose square may reach outside `linear ≥ 0`, give or take a pixel: no more than a saving.
@@ -162,7 +162,7 @@ impl Region {
         self.cut_raw(Linear { c: linear.c + linear.half_pixel() * 3.0 + error, ..linear });
     }
 
-    fn cut_raw(&mut self, linear: Linear) -> bool {
+    fn cut_raw(&mut self, linear: Linear) {
         let columns = self.columns.expect("only a region with columns is cut");
         let Linear { a, b, c } = linear;
         let extreme = |least: bool| {
@@ -171,14 +171,13 @@ impl Region {
             a * x + b * y + c
         };
         if self.is_empty() || extreme(true) >= 0.0 {
-            return false;
+            return;
         }
         if !(extreme(false) >= 0.0) || self.left_count + self.right_count == Region::CONDITIONS_MAX {
             self.rows[1] = -1.0;
         } else {
             self.add_raw(linear);
         }
-        true
     }
 
     pub fn is_empty(&self) -> bool {

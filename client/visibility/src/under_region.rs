@@ -32,7 +32,13 @@
 //! of S. Coplanar neighbours of a polygon on several sides join in the same way, each with its other edges kept.
 //! Other pairs join without closers: for every eye, p is on the first's or on the second's side of the line.
 
+// `!(a > b)` where NaN must count as "no".
+#![allow(clippy::neg_cmp_op_on_partial_ord)]
+
+use glam::Vec3;
+
 use crate::Aabb;
+use crate::closers::{self, Closer};
 use crate::occluders::Occluders;
 use crate::under::{EdgePlane, Image, NONE, OCCLUDER_NEAR, ROUNDING, Setup, joints_of};
 use crate::under_extent::{Extent, Seen};
@@ -40,6 +46,12 @@ use crate::under_face::{Face, Linear, Region};
 
 /// A ball that is nearer to a polygon's plane than this part of its size does not fuse it, because of rounding.
 const CLEARANCE: f64 = 1e-5;
+
+/// A polygon that is narrower than so many radii is not worth drawing: hardly any of it is left even beside its closers.
+pub(crate) const NARROW: f64 = 1.0;
+
+/// A polygon that is wider than so many radii is left enough of by its joints with one neighbour each.
+const STAR_WIDTH: f64 = 3.0;
 
 /// Polygons in one set are at most this many. More edges are open then than close.
 const MEMBERS_MAX: usize = 12;
@@ -152,22 +164,43 @@ impl Image {
         let Some(setup) = self.slot(occluders, polygon) else { return };
         let alone = Fusion::of(polygon);
         let mut fused = alone;
-        self.close(occluders, polygon, &mut fused);
-        let cut = self.draw_fusion(occluders, &fused, Part::Whole);
-        if fused.count > 1 && cut {
-            // The others' open edges took something away: what the polygon hides alone, and with one other.
-            self.draw_fusion(occluders, &alone, Part::Whole);
-            for closer in closers_of(occluders, polygon) {
-                let closer = occluders.closers[closer];
-                if self.closing(occluders, polygon, closer.polygon, closer.edge) {
-                    let mut pair = alone;
-                    pair.add(closer.polygon, 0);
-                    let edge = setup.edges[0] + closer.edge;
-                    self.draw_fusion(occluders, &pair, Part::Outside([edge, edge]));
-                }
+        let closed = self.close(occluders, polygon, &mut fused);
+        let width = occluders.polygons[polygon as usize].width;
+        // Open edges of others that pass before the polygon would take parts of it away, so only one such polygon at a time.
+        let mut base = fused;
+        let mut cutting = 0_u32;
+        loop {
+            let cut = self.cutting(occluders, &base);
+            if cut == 0 {
+                break;
             }
+            // Without one, edges that it closed may be open.
+            let mut less = alone;
+            for i in (1..base.count).filter(|i| cut >> i & 1 == 0) {
+                less.add(base.members[i], 0);
+            }
+            base = less;
         }
-        self.draw_star(occluders, polygon, &fused);
+        for i in (1..fused.count).filter(|&i| !base.members[..base.count].contains(&fused.members[i])) {
+            cutting |= 1 << i;
+        }
+        // Each open edge takes the radius at least.
+        if base.count > 1 || width > 2.0 * self.radius {
+            self.draw_fusion(occluders, &base, Part::Whole);
+        }
+        for i in (1..fused.count).filter(|i| cutting >> i & 1 == 1) {
+            let closed = closers_of(occluders, polygon)
+                .map(|index| occluders.closers[index])
+                .find(|closer| closer.polygon == fused.members[i] && closed >> closer.edge & 1 == 1);
+            let Some(closer) = closed else { continue };
+            let mut pair = base;
+            pair.add(closer.polygon, 0);
+            let edge = setup.edges[0] + closer.edge;
+            self.draw_fusion(occluders, &pair, Part::Outside([edge, edge]));
+        }
+        if width < STAR_WIDTH * self.radius {
+            self.draw_star(occluders, polygon, &fused);
+        }
         for &[other, joint] in &occluders.joint_lists[joints_of(occluders, polygon)] {
             if self.is_drawn(other) {
                 self.join(occluders, joint);
@@ -175,27 +208,38 @@ impl Image {
         }
     }
 
-    /// Adds the best closer of each edge of `polygon`.
-    fn close(&mut self, occluders: &Occluders, polygon: u32, fusion: &mut Fusion) {
+    /// Adds the best closer of each edge of `polygon`. Returns which edges have one.
+    fn close(&mut self, occluders: &Occluders, polygon: u32, fusion: &mut Fusion) -> u32 {
+        if !self.slot(occluders, polygon).is_some_and(|setup| setup.fuses) {
+            return 0;
+        }
         let mut closed = 0_u32;
-        for closer in closers_of(occluders, polygon) {
-            let closer = occluders.closers[closer];
-            if closed >> closer.edge & 1 == 0 && self.closing(occluders, polygon, closer.polygon, closer.edge) {
+        for index in closers_of(occluders, polygon) {
+            let closer = occluders.closers[index];
+            if closed >> closer.edge & 1 == 0 && self.closes(occluders, &closer) {
                 closed |= 1 << closer.edge;
                 fusion.add(closer.polygon, 0);
             }
         }
+        closed
+    }
+
+    /// Whether a closer faces these eyes so that it closes its edge.
+    fn closes(&mut self, occluders: &Occluders, closer: &Closer) -> bool {
+        let corner = occluders.corners(closer.polygon)[0].as_dvec3();
+        let from_behind = occluders.polygons[closer.polygon as usize].normal.dot(self.eye - corner) < 0.0;
+        // Most face the other way, which is cheaper to see than to set them up.
+        closer.closes(from_behind) && self.slot(occluders, closer.polygon).is_some_and(|setup| setup.fuses)
     }
 
     /// Whether `other` closes an edge of `polygon` for these eyes.
     fn closing(&mut self, occluders: &Occluders, polygon: u32, other: u32, edge: u32) -> bool {
-        if !self.slot(occluders, polygon).is_some_and(|setup| setup.fuses) {
-            return false;
-        }
-        let Some(closer) = self.slot(occluders, other).filter(|setup| setup.fuses) else { return false };
-        closers_of(occluders, polygon)
+        let found = closers_of(occluders, polygon)
             .map(|index| occluders.closers[index])
-            .any(|found| found.polygon == other && found.edge == edge && found.closes(closer.from_behind))
+            .find(|found| found.polygon == other && found.edge == edge);
+        found.is_some_and(|closer| {
+            self.slot(occluders, polygon).is_some_and(|setup| setup.fuses) && self.closes(occluders, &closer)
+        })
     }
 
     /// Draws the polygon's image once more, joined with all its coplanar neighbours: a lintel between two pieces of wall.
@@ -260,35 +304,57 @@ impl Image {
         self.stats.joints += 1;
     }
 
-    /// Draws what a fusion hides within the image of its first polygon (of both, for a joint's strip). Returns whether
-    /// open edges of other polygons took something of that away.
-    fn draw_fusion(&mut self, occluders: &Occluders, fusion: &Fusion, part: Part) -> bool {
+    /// The members as seen from the eyes, and which edges of each are closed or joined.
+    fn shut(&mut self, occluders: &Occluders, fusion: &Fusion) -> ([Option<Setup>; MEMBERS_MAX], [u32; MEMBERS_MAX]) {
         let members = &fusion.members[..fusion.count];
         let setups: [Option<Setup>; MEMBERS_MAX] =
             std::array::from_fn(|i| members.get(i).and_then(|&polygon| self.slot(occluders, polygon)));
-        // Edges of each member that are closed or joined.
         let shut: [u32; MEMBERS_MAX] = std::array::from_fn(|i| {
             let Some(&polygon) = members.get(i) else { return 0 };
             let mut shut = fusion.joined[i];
             if !setups[i].is_some_and(|setup| setup.fuses) {
                 return shut;
             }
-            for closer in closers_of(occluders, polygon) {
-                let closer = occluders.closers[closer];
-                let Some(at) = members.iter().position(|&member| member == closer.polygon) else { continue };
-                let may = setups[at].is_some_and(|setup| setup.fuses && closer.closes(setup.from_behind));
-                if may && (at >= fusion.group || fusion.coplanar) {
-                    shut |= 1 << closer.edge;
+            for (at, &other) in members.iter().enumerate() {
+                let Some(closer) = setups[at].filter(|setup| setup.fuses && at != i) else { continue };
+                if at >= fusion.group || fusion.coplanar && i >= fusion.group {
+                    for edge in 0..occluders.corners(polygon).len() as u32 {
+                        if shut >> edge & 1 == 1 {
+                            continue;
+                        }
+                        let closed = closers::relation(occluders, polygon, edge, other);
+                        shut |= u32::from(closed.is_some_and(|closed| closed.closes(closer.from_behind))) << edge;
+                    }
                 }
             }
             shut
         });
+        (setups, shut)
+    }
+
+    /// Which members' open edges leave out some corner of the first polygon.
+    fn cutting(&mut self, occluders: &Occluders, fusion: &Fusion) -> u32 {
+        let (setups, shut) = self.shut(occluders, fusion);
+        let cuts = |i: &usize| {
+            let Some(setup) = setups[*i] else { return true };
+            (setup.edges[0]..setup.edges[1]).enumerate().any(|(bit, edge)| {
+                let normal = self.edges[edge as usize].normal;
+                let inside = |corner: &Vec3| normal.dot(corner.as_dvec3() - self.eye) >= 0.0;
+                shut[*i] >> bit & 1 == 0 && !occluders.corners(fusion.members[0]).iter().all(inside)
+            })
+        };
+        (1..fusion.count).filter(cuts).fold(0, |mask, i| mask | 1 << i)
+    }
+
+    /// Draws what a fusion hides within the image of its first polygon (of both, for a joint's strip).
+    fn draw_fusion(&mut self, occluders: &Occluders, fusion: &Fusion, part: Part) {
+        let (setups, shut) = self.shut(occluders, fusion);
+        let members = &fusion.members[..fusion.count];
         let strip = matches!(part, Part::Outside(_)) && fusion.group == 2;
         let shown = if strip { &members[..2] } else { &members[..1] };
         let aabb =
             shown.iter().fold(Aabb::EMPTY, |aabb, &polygon| aabb.union(&occluders.polygons[polygon as usize].aabb));
         let relative = Aabb::new(aabb.min - self.eye, aabb.max - self.eye);
-        let mut cut = false;
         for face in &mut self.faces {
             if self.aligned && matches!(face.rectangle_aligned(&relative), Seen::Outside) {
                 continue;
@@ -314,8 +380,7 @@ impl Image {
                 for (bit, edge) in (setup.edges[0]..setup.edges[1]).enumerate() {
                     if shut >> bit & 1 == 0 {
                         let (linear, error) = linear(face, &self.edges[edge as usize]);
-                        let took = region.cut(linear, error);
-                        cut |= took && i > 0;
+                        region.cut(linear, error);
                     } else if i == 0 && !strip {
                         let error = self.edges[edge as usize].error * face.reach;
                         region.cut_to_touching(face.linear(face.local(self.sights[edge as usize])), error);
@@ -335,7 +400,6 @@ impl Image {
                 _ => {}
             }
         }
-        cut
     }
 }
 

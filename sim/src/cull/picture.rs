@@ -1,6 +1,6 @@
 //! Pictures of a view: what is right, what a culler made of it, and where they differ.
 
-use eyeline_visibility::{ItemBuffer, Resolution, Scene, View};
+use eyeline_visibility::{Aabb, ItemBuffer, PixelRect, Resolution, Scene, Sides, View};
 use glam::{DVec3, Vec3};
 
 use super::world::World;
@@ -19,6 +19,48 @@ pub struct Layer {
     pub name: &'static str,
     /// Strength of each pixel, 0 to 1, row by row from the top; as many as the view has pixels.
     pub strength: Vec<f32>,
+}
+
+impl Layer {
+    /// Boxes as they show past the primitives of a picture, nearer ones over farther ones.
+    pub fn of_boxes(name: &'static str, scene: &Scene, visible: &[u32], boxes: &[Aabb], view: &View) -> Layer {
+        let mut items = ItemBuffer::new(view);
+        items.draw(scene, visible);
+        let first = scene.triangles().len() as u32;
+        for (id, aabb) in (first..).zip(boxes) {
+            let corner = aabb.corners();
+            for [a, b, c, d] in [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]] {
+                items.draw_corners(id, [corner[a], corner[b], corner[c]], Sides::Both);
+                items.draw_corners(id, [corner[a], corner[c], corner[d]], Sides::Both);
+            }
+        }
+        let strength = |&id: &u32| match id {
+            ItemBuffer::NONE => 0.0,
+            id if id < first => 0.0,
+            // Neighbours in the list get different strengths, so that one can tell them apart.
+            id => 0.4 + 0.15 * ((id - first) % 4) as f32,
+        };
+        Layer { name, strength: items.ids().iter().map(strength).collect() }
+    }
+
+    /// Tiles of an image.
+    pub fn of_tiles(name: &'static str, tiles: &[PixelRect], resolution: Resolution) -> Layer {
+        let mut strength = vec![0.0; resolution.pixels()];
+        let width = resolution.width as usize;
+        for tile in tiles {
+            let [from, to] = tile.x.map(|x| x.min(resolution.width) as usize);
+            for y in tile.y[0]..tile.y[1].min(resolution.height) {
+                let row = &mut strength[y as usize * width..][..width];
+                row[from..to].fill(0.35);
+                // A line at the left and upper border keeps tiles apart.
+                row[from..to.min(from + 1)].fill(0.8);
+                if y == tile.y[0] {
+                    row[from..to].fill(0.8);
+                }
+            }
+        }
+        Layer { name, strength }
+    }
 }
 
 /// What a pixel without a winner shows.

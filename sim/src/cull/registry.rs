@@ -4,13 +4,12 @@
 //! the product of what it can choose and what was asked for. What several settings share (a tessellation of a large scene
 //! takes seconds) is made once, by the [`Shop`].
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Budget, Cplp, CplpCuller, CplpQueryCuller, Culled, Culler, EyeRegion, FrustumBackface, HierarchicalZ, KdRules,
-    KdTree, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules, QueryFrontToBack, QueryKind, RegionCuller, Scene,
-    Scratch, Tessellation, View, ZBuffer,
+    Aabb, Budget, Cplp, CplpCuller, CplpQueryCuller, Culled, Culler, EyeRegion, FrustumBackface, HierarchicalZ,
+    KdRules, KdTree, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules, QueryBackEnd, QueryFrontToBack, QueryKind,
+    RegionCuller, Scene, Scratch, Tessellation, View, ZBuffer,
 };
 
 use super::picture::Layer;
@@ -23,13 +22,14 @@ pub trait Candidate {
     /// What the last cull knows to be hidden.
     fn occlusion(&self) -> &dyn Occlusion;
 
-    /// z-tests of the last cull's queries, if it counts them. Drawing is counted by the report.
-    fn query_z_tests(&self) -> Option<u64> {
+    /// Comparisons of depths of the last cull, drawing and queries, if it draws a Z-buffer of its own. Else the report counts
+    /// those that drawing the visible set takes.
+    fn z_tests(&self) -> Option<u64> {
         None
     }
 
-    /// What the last cull can show of itself: the front, finished tiles.
-    fn layers(&self) -> Vec<Layer> {
+    /// What the culler can show of itself in a view: the front, finished tiles.
+    fn layers(&mut self, _view: &View) -> Vec<Layer> {
         Vec::new()
     }
 }
@@ -38,22 +38,69 @@ pub trait Candidate {
 pub struct WithScratch<C> {
     culler: C,
     scratch: Scratch,
+    z_tests: u64,
 }
 
 impl<C> WithScratch<C> {
     /// Gives a culler its scratch.
     pub fn new(culler: C) -> WithScratch<C> {
-        WithScratch { culler, scratch: Scratch::default() }
+        WithScratch { culler, scratch: Scratch::default(), z_tests: 0 }
     }
 }
 
 impl<C: Culler> Candidate for WithScratch<C> {
     fn cull(&mut self, view: &View, region: EyeRegion) -> Culled {
-        self.culler.cull(view, region, &mut self.scratch)
+        let culled = self.culler.cull(view, region, &mut self.scratch);
+        self.z_tests = culled.z_tests;
+        culled
     }
 
     fn occlusion(&self) -> &dyn Occlusion {
         self.scratch.occlusion()
+    }
+
+    fn z_tests(&self) -> Option<u64> {
+        (self.z_tests > 0).then_some(self.z_tests)
+    }
+}
+
+/// cPLP with any query back end, which can show its front.
+struct WithFront<C> {
+    inner: WithScratch<C>,
+    scene: Arc<Scene>,
+    cplp: Arc<Cplp>,
+}
+
+impl<C: Culler> Candidate for WithFront<C> {
+    fn cull(&mut self, view: &View, region: EyeRegion) -> Culled {
+        self.inner.cull(view, region)
+    }
+
+    fn occlusion(&self) -> &dyn Occlusion {
+        self.inner.occlusion()
+    }
+
+    fn z_tests(&self) -> Option<u64> {
+        self.inner.z_tests()
+    }
+
+    fn layers(&mut self, view: &View) -> Vec<Layer> {
+        self.inner.scratch.cplp_mut().record_fronts(true);
+        let culled = self.inner.cull(view, EyeRegion::point(view.eye));
+        self.inner.scratch.cplp_mut().record_fronts(false);
+        // What the paper's figure 10 shows: the cells that PLP left to be asked about, where they are not hidden by what the
+        // culler found in the end.
+        let front: Vec<Aabb> = (self.inner.scratch.cplp().fronts().next().unwrap_or_default().iter())
+            .map(|&cell| *self.cplp.tessellation().cell(cell))
+            .collect();
+        let mut layers = vec![Layer::of_boxes("front after PLP", &self.scene, &culled.visible, &front, view)];
+        if let Some(query) = self.inner.scratch.query() {
+            let tiles = query.finished_tiles();
+            if !tiles.is_empty() {
+                layers.push(Layer::of_tiles("finished tiles", &tiles, view.resolution));
+            }
+        }
+        layers
     }
 }
 
@@ -246,8 +293,14 @@ impl Registry {
                     let budget = setting.budget.map_or_else(Budget::default, |triangles| Budget { triangles });
                     let (scene, cplp) = (shop.scene(), shop.cplp(setting));
                     match QueryKind::ALL.into_iter().find(|kind| Some(kind.name()) == setting.query) {
-                        Some(kind) => Box::new(WithScratch::new(CplpQueryCuller::new(scene, cplp, budget, kind))),
-                        None => Box::new(WithScratch::new(CplpCuller::new(scene, cplp, budget))),
+                        Some(kind) => {
+                            let culler = CplpQueryCuller::new(scene.clone(), cplp.clone(), budget, kind);
+                            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp })
+                        }
+                        None => {
+                            let culler = CplpCuller::new(scene.clone(), cplp.clone(), budget);
+                            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp })
+                        }
                     }
                 },
             },

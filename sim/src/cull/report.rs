@@ -1,5 +1,6 @@
 //! The report of a comparison of cullers: wrong pixels and ε_k against time first, then what was drawn, then pictures.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context;
@@ -69,6 +70,20 @@ pub fn report(run: Run, world: &World, outcome: &Outcome, config: &CullConfig) -
         Axis::log("z-tests per pixel"),
         &|row| (row.total_ms, row.z_tests_per_pixel),
     ));
+    let mut budgets: Vec<usize> = outcome.rows.iter().filter_map(|row| row.budget).collect();
+    budgets.sort_unstable();
+    budgets.dedup();
+    if budgets.len() > 1 {
+        // cPLP's figure 6 and table 3. A logarithm has no 0: a budget of 0 stands at 1.
+        let budget = || Axis::log("PLP budget (triangles)");
+        let at = |row: &super::CullRow| row.budget.unwrap_or(0).max(1) as f64;
+        report.plots.push(by_budget(outcome, "Time to cull and draw over PLP's budget", budget(), "ms", &|row| {
+            (at(row), row.total_ms)
+        }));
+        report.plots.push(by_budget(outcome, "Rounds of queries over PLP's budget", budget(), "rounds", &|row| {
+            (at(row), row.rounds)
+        }));
+    }
     if config.eye_radii.len() > 1 {
         report.plots.push(scatter(
             "What a ball of eyes costs",
@@ -78,6 +93,22 @@ pub fn report(run: Run, world: &World, outcome: &Outcome, config: &CullConfig) -
         ));
     }
     Ok(report)
+}
+
+/// A line for each culler, tessellation, query and resolution that has a budget.
+fn by_budget(outcome: &Outcome, title: &str, x: Axis, y: &str, of: &dyn Fn(&super::CullRow) -> (f64, f64)) -> Plot {
+    let mut plot = Plot::new(title, PlotKind::Line, x, Axis::linear(y));
+    let mut lines: BTreeMap<String, Vec<Point>> = BTreeMap::new();
+    for row in outcome.rows.iter().filter(|row| row.budget.is_some()) {
+        let (x, y) = of(row);
+        let name = label(&super::CullRow { budget: None, ..row.clone() });
+        lines.entry(name).or_default().push(Point::labelled(x, y, label(row)));
+    }
+    for (name, mut points) in lines {
+        points.sort_by(|a, b| a.x.total_cmp(&b.x));
+        plot = plot.with_series(Series::new(name, points));
+    }
+    plot
 }
 
 /// What names a row in a plot.

@@ -17,13 +17,13 @@ use glam::DVec3;
 use rand::RngExt;
 
 use super::fragments::Fragments;
+use super::max_pass::MaxPass;
 use super::path::CameraPath;
 use super::picture::Picture;
 use super::registry::{Candidate, Registry, Setting, Shop};
 use super::row::CullRow;
 use super::world::World;
 use crate::chance;
-use crate::report::Progress;
 
 /// What is run.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,8 +64,14 @@ pub struct Outcome {
     pub pictures: Vec<Pictures>,
 }
 
-/// Runs every setting over every view.
-pub fn run(world: &World, path: &CameraPath, config: &CullConfig, registry: &Registry) -> Outcome {
+/// Runs every setting over every view. `each_view` is called after each view of each resolution and radius.
+pub fn run(
+    world: &World,
+    path: &CameraPath,
+    config: &CullConfig,
+    registry: &Registry,
+    mut each_view: impl FnMut(),
+) -> Outcome {
     let mut shop = Shop::new(world.scene.clone());
     let mut made: Vec<(&Setting, bool, f64, Box<dyn Candidate>)> = Vec::new();
     for setting in &config.settings {
@@ -74,8 +80,6 @@ pub fn run(world: &World, path: &CameraPath, config: &CullConfig, registry: &Reg
         let candidate = (entry.make)(&mut shop, setting);
         made.push((setting, entry.conservative, millis(began), candidate));
     }
-    let runs = config.resolutions.len() * config.eye_radii.len();
-    let progress = Progress::new((runs * path.cameras.len()) as u64, "culling views");
     let mut outcome = Outcome { rows: Vec::new(), pictures: Vec::new() };
     for &resolution in &config.resolutions {
         let mut max_pass = MaxPass::new(resolution);
@@ -94,7 +98,7 @@ pub fn run(world: &World, path: &CameraPath, config: &CullConfig, registry: &Reg
                     }
                 }
                 tallies.iter_mut().for_each(Tally::close_view);
-                progress.inc(1);
+                each_view();
             }
             let first = outcome.rows.is_empty();
             for ((setting, conservative, build_ms, candidate), tally) in made.iter_mut().zip(tallies) {
@@ -120,7 +124,6 @@ pub fn run(world: &World, path: &CameraPath, config: &CullConfig, registry: &Reg
             }
         }
     }
-    progress.finish();
     outcome
 }
 
@@ -222,15 +225,15 @@ impl Try<'_> {
             }
         }
         let fragments = Fragments::new(view);
-        let drawn = culled.visible.iter().map(|&id| fragments.of(&world.scene.triangles()[id as usize], DVec3::ZERO));
-        let mut z_tests: u64 = drawn.sum();
+        let own = candidate.z_tests();
+        let triangles = world.scene.triangles();
+        let drawn = || culled.visible.iter().map(|&id| fragments.of(&triangles[id as usize], DVec3::ZERO)).sum();
+        let mut z_tests: u64 = own.unwrap_or_else(drawn);
         for &object in &exposed {
             let mesh = &world.scene.objects()[object as usize];
             z_tests += mesh.triangles.iter().map(|triangle| fragments.of(triangle, mesh.origin)).sum::<u64>();
         }
-        let queries = candidate.query_z_tests();
-        tally.query_z_tests_counted = queries.is_some();
-        z_tests += queries.unwrap_or(0);
+        tally.query_z_tests_counted = own.is_some();
 
         if tally.worst.is_none_or(|(most, _)| wrong > most) {
             tally.worst = Some((wrong, number));
@@ -282,6 +285,9 @@ struct Tally {
     rounds_max: usize,
     cells: u64,
     queries: u64,
+    plp: u64,
+    occluders: u64,
+    bounds: u64,
     z_tests: u64,
     query_z_tests_counted: bool,
     draw_ms: f64,
@@ -309,6 +315,9 @@ impl Tally {
         self.rounds_max = self.rounds_max.max(culled.traversal.rounds);
         self.cells += culled.traversal.cells_projected as u64;
         self.queries += culled.traversal.queries as u64;
+        self.plp += culled.traversal.plp_triangles as u64;
+        self.occluders += culled.traversal.polygons_drawn as u64;
+        self.bounds += culled.traversal.bounds_tested as u64;
     }
 
     fn timed(
@@ -375,6 +384,10 @@ impl Tally {
             rounds_max: self.rounds_max,
             cells: mean(self.cells),
             queries: mean(self.queries),
+            bounds: mean(self.bounds),
+            occluders: mean(self.occluders),
+            plp_triangles: mean(self.plp),
+            extra_triangles: about.setting.budget.map_or(0.0, |_| mean(self.kept) - mean(self.plp)),
             z_tests_per_pixel: ratio(self.z_tests as f64, self.pixels as f64),
             query_z_tests_counted: self.query_z_tests_counted,
             frame_ms,
@@ -405,45 +418,13 @@ fn pictures_of(world: &World, view: &View, radius: f64, candidate: &mut dyn Cand
         ("culled".to_owned(), picture.clone()),
         ("wrong pixels in red".to_owned(), Picture::of_items(world, &exact, view).of_difference(&items, &exact)),
     ];
-    for layer in candidate.layers() {
+    for layer in candidate.layers(view) {
         pictures.push((layer.name.to_owned(), picture.clone().with_layer(&layer)));
     }
     pictures
 }
 
-/// One f32 max with a constant over a buffer of an image's pixels: what touching every pixel once costs.
-pub struct MaxPass {
-    buffer: Vec<f32>,
-    next: f32,
-}
-
-impl MaxPass {
-    /// A buffer for images of this size.
-    pub fn new(resolution: Resolution) -> MaxPass {
-        MaxPass { buffer: vec![0.0; resolution.pixels()], next: 0.0 }
-    }
-
-    /// One pass.
-    #[inline(never)]
-    pub fn pass(&mut self) {
-        // Another value each time, or the compiler could see that nothing changes.
-        self.next += 1e-3;
-        let value = black_box(self.next);
-        for depth in &mut self.buffer {
-            *depth = if *depth > value { *depth } else { value };
-        }
-        black_box(&mut self.buffer);
-    }
-
-    /// One pass, in milliseconds.
-    fn run(&mut self) -> f64 {
-        let began = Instant::now();
-        self.pass();
-        millis(began)
-    }
-}
-
-fn millis(since: Instant) -> f64 {
+pub(super) fn millis(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 

@@ -46,6 +46,8 @@ const STAIRS: u32 = 7;
 const HOLE: (f64, f64) = (9.0, 15.0);
 const STEPS: u32 = 18;
 const EYE_HEIGHT: f64 = 1.6;
+/// From an office's side walls to the lane between its furniture, less what cameras keep from walls.
+const LANE: f64 = 1.0;
 
 /// What the maker `office` is asked for.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -292,7 +294,11 @@ fn look_around(rules: &OfficeRules, floors: &[Vec<Office>]) -> CameraPath {
         let offices = &floors[floor];
         // Half of the time in an office, as one is.
         let place = match chance.random_range(0..8) {
-            0..4 => offices[chance.random_range(0..offices.len())].cell,
+            0..4 => {
+                // In the middle lane: bookcases are higher than an eye.
+                let Rect { min, max } = offices[chance.random_range(0..offices.len())].cell;
+                Rect { min: min + DVec2::X * LANE, max: max - DVec2::X * LANE }
+            }
             4..7 => corridors[chance.random_range(0..2)],
             _ => lobbies[chance.random_range(0..2)],
         };
@@ -401,7 +407,8 @@ mod tests {
         let rays = RayScene::new(&scene);
         for camera in &path.cameras {
             let floor = rays.first_hit(DVec3::from(camera.eye), DVec3::NEG_Y, 0.0, 10.0).unwrap();
-            assert!(floor.t <= EYE_HEIGHT + 1e-3);
+            // Above the floor, a stool or a pedestal, and in nothing that is higher.
+            assert!((0.99..EYE_HEIGHT + 1e-3).contains(&floor.t), "{camera:?}");
         }
         let message = make(&OfficeRules { floors: 0, ..OfficeRules::default() }).unwrap_err().to_string();
         assert!(message.contains("floors = 0: give 1 to 30"));

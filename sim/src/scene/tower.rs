@@ -1,9 +1,11 @@
 //! The maker `tower`: 54 modules on top of each other, for depth complexity (Klosowski & Silva 2001, §5: a skyscraper of 54
 //! copies of a module, each of almost 20 thousand triangles, seen from inside).
 //!
-//! A module is a storey of 24 × 24 m: twelve rooms of 6 × 6 m around a gallery, and in the middle an atrium of 8 × 8 m that
-//! goes through all storeys. From the gallery one sees rails, doors and rooms of many storeys in front of each other. Modules
-//! differ by a quarter turn and by which furniture stands where.
+//! A module is a storey of 60 × 60 m: twelve rooms of 15 × 15 m around a gallery, and in the middle an atrium of 20 × 20 m that
+//! goes through all storeys. Modules differ by a quarter turn and by which furniture stands where.
+//!
+//! Depth complexity comes from looking up and down: each storey below fills the picture once more. So the cameras at the rail
+//! look steeply down or up, past the rails of many galleries, and those in rooms down or up a little.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -18,20 +20,19 @@ use crate::chance;
 use crate::cull::{Camera, CameraPath};
 
 /// Height of a module and thickness of its floor.
-const STOREY: f64 = 4.0;
+const STOREY: f64 = 3.4;
 const SLAB: f64 = 0.3;
 const WALL: f64 = 0.2;
 const SUNK: f64 = 0.1;
 const DOOR: (f64, f64) = (1.2, 2.2);
 /// Half sides: of the tower, of the gallery with the atrium, of the atrium. The origin is the atrium's middle.
-const HALF: f64 = 12.0;
-const INNER: f64 = 6.0;
-const ATRIUM: f64 = 4.0;
+const HALF: f64 = 30.0;
+const INNER: f64 = 15.0;
+const ATRIUM: f64 = 10.0;
 /// Pieces of furniture in each of a module's rooms.
 const PIECES: u32 = 5;
-const ROOMS: u32 = 12;
 /// From baluster to baluster of the rail, its height, half a baluster's side.
-const BALUSTER: (f64, f64, f64) = (0.2, 1.0, 0.015);
+const BALUSTER: (f64, f64, f64) = (0.4, 1.0, 0.02);
 const EYE_HEIGHT: f64 = 1.6;
 
 /// What the maker `tower` is asked for.
@@ -130,7 +131,7 @@ fn shell(chance: &mut Pcg64) -> Triangles {
             add(DVec2::new(opening.1, -INNER - half), DVec2::new(from + INNER + half, -INNER + half), bottom);
             add(DVec2::new(opening.0, -INNER - half), DVec2::new(opening.1, -INNER + half), DOOR.1);
         }
-        let door = -HALF + chance.random_range(1.2..INNER - 1.0);
+        let door = -HALF + chance.random_range(1.2..INNER - 1.2);
         let opening = (door - 0.5 * DOOR.0, door + 0.5 * DOOR.0);
         add(DVec2::new(-INNER - half, -HALF), DVec2::new(-INNER + half, opening.0), bottom);
         add(DVec2::new(-INNER - half, opening.1), DVec2::new(-INNER + half, -INNER), bottom);
@@ -181,29 +182,32 @@ fn furnish(meshes: &[MeshId], chance: &mut Pcg64) -> Vec<(MeshId, DVec2, f64)> {
         let start = chance.random_range(0.0..1.0);
         for piece in 0..PIECES {
             let angle = (start + f64::from(piece) / f64::from(PIECES)) * 2.0 * PI;
-            let at = middle + DVec2::from_angle(angle) * chance.random_range(1.35..1.5);
+            let at = middle + DVec2::from_angle(angle) * chance.random_range(1.5..5.5);
             placed.push((meshes[chance.random_range(0..meshes.len())], at, chance.random_range(-PI..PI)));
         }
     }
     placed
 }
 
-/// Two in three on a gallery, looking also up and down; the others in rooms.
+/// Three in four at the rail, looking steeply down or up; the others in rooms.
 fn look_around(rules: &TowerRules) -> CameraPath {
     let mut chance = chance(rules.seed, 42);
     let rooms: Vec<DVec2> = rooms().collect();
     let camera = |_| {
         let height = f64::from(chance.random_range(0..rules.modules)) * STOREY + EYE_HEIGHT;
-        let (at, pitch) = if chance.random_range(0..3) < 2 {
+        let (at, pitch) = if chance.random_range(0..4) < 3 {
             let along = chance.random_range(-INNER + 0.4..INNER - 0.4);
-            let across = chance.random_range(ATRIUM + 0.3..INNER - 0.4);
+            let across = chance.random_range(ATRIUM + 0.2..INNER - 0.4);
             let side = DVec2::from_angle(f64::from(chance.random_range(0..4_u32)) * FRAC_PI_2);
-            (side.rotate(DVec2::new(along, across)), chance.random_range(-0.8..0.8))
+            (side.rotate(DVec2::new(along, across)), chance.random_range(0.8..1.5))
         } else {
             let reach = 0.5 * INNER - 0.5;
             let [x, z] = [(); 2].map(|()| chance.random_range(-reach..reach));
-            (rooms[chance.random_range(0..rooms.len())] + DVec2::new(x, z), chance.random_range(-0.1..0.1))
+            (rooms[chance.random_range(0..rooms.len())] + DVec2::new(x, z), chance.random_range(0.0..0.8))
         };
+        // Down where there is more below than above, else up.
+        let down = height > 0.5 * f64::from(rules.modules) * STOREY;
+        let pitch = if down { -pitch } else { pitch };
         Camera::rounded(DVec3::new(at.x, height, at.y), chance.random_range(-PI..PI), pitch)
     };
     CameraPath::new((0..rules.cameras).map(camera).collect())
@@ -237,7 +241,7 @@ mod tests {
         let mut writer = GlbWriter::new();
         let meshes: Vec<MeshId> =
             pieces.iter().map(|piece| writer.mesh(piece.name, &piece.mesh, None).unwrap()).collect();
-        assert_eq!(rooms().count() as u32, ROOMS);
+        assert_eq!(rooms().count(), 12);
         let placed = furnish(&meshes, &mut chance(5, 41));
         let radius = |mesh: MeshId| pieces[meshes.iter().position(|known| *known == mesh).unwrap()].radius;
         for (number, &(mesh, at, _)) in placed.iter().enumerate() {
@@ -259,12 +263,13 @@ mod tests {
         assert!((up.t - (5.0 * STOREY - SLAB - 0.1)).abs() < 1e-3);
         // Of rays along each gallery wall, some pass through a door and most do not.
         let mut through = 0;
-        for step in 0..120 {
-            let x = -5.85 + f64::from(step) * 0.0983;
-            let hit = rays.first_hit(DVec3::new(x, 2.0, -5.5), DVec3::NEG_Z, 0.0, 0.8);
+        for step in 0..1_200 {
+            let x = INNER * (f64::from(step) / 600.0 - 1.0) + 0.01;
+            let hit = rays.first_hit(DVec3::new(x, 2.0, 0.5 - INNER), DVec3::NEG_Z, 0.0, 0.8);
             through += u32::from(hit.is_none());
         }
-        assert!((18..=28).contains(&through), "{through} of 120");
+        // Two doors of 1.2 m in 30 m.
+        assert!((90..=102).contains(&through), "{through} of 1200");
         for camera in &made.cameras.cameras {
             let floor = rays.first_hit(DVec3::from(camera.eye), DVec3::NEG_Y, 0.0, 10.0).unwrap();
             assert!(floor.t <= EYE_HEIGHT + 1e-3);

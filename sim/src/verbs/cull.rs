@@ -11,7 +11,7 @@ use eyeline_server::app::number;
 use eyeline_sim::cull::report::{report, write_pictures};
 use eyeline_sim::cull::run::run as run_cullers;
 use eyeline_sim::cull::{CameraPath, CullConfig, Registry, Sweep, World, WorldRules, columns, row};
-use eyeline_sim::report::{Run, rfc3339, table};
+use eyeline_sim::report::{Progress, Run, rfc3339, table};
 use eyeline_visibility::Resolution;
 
 use super::resolution;
@@ -37,7 +37,7 @@ pub struct Cull {
     query: Vec<String>,
 
     /// Budgets to sweep: triangles that PLP may draw by guess [default: 100]
-    #[arg(long, value_name = "TRIANGLES", value_delimiter = ',')]
+    #[arg(long, value_name = "TRIANGLES", value_delimiter = ',', allow_negative_numbers = true)]
     budgets: Vec<usize>,
 
     /// Sizes of the images to sweep, pixels
@@ -94,13 +94,22 @@ pub struct Cull {
 }
 
 pub const EXAMPLES: &str = "Examples:
-  eyeline-sim cull --world oa_dm2.glb --cullers all --views 200 --seed 7 --resolution 512x512 --out out/dm2
-  eyeline-sim cull --world building --query-objects object. --resolution 1024x512      (the figures to beat)
+  eyeline-sim cull --world oa_dm2.glb --cullers all --views 200 --seed 7 --resolution 512x512
+
+  The figures to beat, furniture asked about as boxes; then crowded, from five seeds one by one:
+  eyeline-sim cull --world building --query-objects object. --resolution 1024x512
+  eyeline-sim cull --world building --query-objects object. --objects-per-room 64 --scene-seed 3
+
+  How much a guess should draw, and what a ball of eyes costs:
   eyeline-sim cull --world office --cullers frustum-backface,cplp --budgets 0,100,1000,10000
   eyeline-sim cull --world building --eye-radius 0,0.1,0.3,1 --eyes 1000 --views 20
-  eyeline-sim cull --world rooms.glb --record walk.json; eyeline-sim cull --world rooms.glb --path walk.json
 
-Exits with 1, after writing the report, if a culler that promises to lose nothing has a wrong pixel or lost a primitive.";
+  The same views again:
+  eyeline-sim cull --world rooms.glb --views 50 --record walk.json
+  eyeline-sim cull --world rooms.glb --path walk.json
+
+Exits with 1, after writing the report, if a culler that promises to lose nothing has a wrong pixel
+or lost a primitive.";
 
 /// Runs, writes the report, and fails if a promise was broken.
 pub fn run(options: &Cull) -> anyhow::Result<()> {
@@ -145,7 +154,10 @@ pub fn run(options: &Cull) -> anyhow::Result<()> {
         repeats: options.repeats as usize,
         seed: options.seed,
     };
-    let outcome = run_cullers(&world, &path, &config, &registry);
+    let runs = config.resolutions.len() * config.eye_radii.len();
+    let progress = Progress::new((runs * path.cameras.len()) as u64, "culling views");
+    let outcome = run_cullers(&world, &path, &config, &registry, || progress.inc(1));
+    progress.finish();
     let mut run = Run::here("Eyeline cull", Some(options.seed), started);
     run.wall_seconds = began.elapsed().as_secs_f64();
     let mut report = report(run, &world, &outcome, &config)?;
