@@ -90,6 +90,48 @@ fn a_building_of_many_nodes() {
     check_everywhere(made::with_nodes(&building, 1000), 550);
 }
 
+/// Cells believe walls in their faces to hide what is behind, but for a skin: posters before and behind walls, within the
+/// skin, at its edge and beyond, with lower and higher ids than the wall, and some that stick out through a door.
+#[test]
+fn posters_on_both_sides_of_walls() {
+    let building = made::building(4, 0, 11);
+    let mut rng = Pcg64::seed_from_u64(650);
+    let mut posters = Vec::new();
+    for _ in 0..160 {
+        let line = rng.random_range(0..=4) as f32 * made::ROOM;
+        let side = if rng.random() { 0.1 } else { -0.1 };
+        let gap = [0.0, 1e-6, 1e-5, 1e-4, 1e-3, 4e-3, 6e-3, 9e-3, 0.011, 0.05][rng.random_range(0..10)];
+        let at = line + side + if rng.random() { gap } else { -gap };
+        let (along, low) = (rng.random_range(0.0..18.0_f32), rng.random_range(-0.1..2.5_f32));
+        let (wide, high) = (rng.random_range(0.05..3.0_f32), rng.random_range(0.05..1.0_f32));
+        let corner = |u: f32, v: f32| Vec3::new(at, low + v * high, along + u * wide);
+        let quad = [[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)], [(0.0, 0.0), (1.0, 1.0), (0.0, 1.0)]];
+        let turned = rng.random::<bool>();
+        for corners in quad {
+            let corners = corners.map(|(u, v)| corner(u, v)).map(|c| if turned { Vec3::new(c.z, c.y, c.x) } else { c });
+            posters.push(Triangle { corners, sides: Sides::Both, occludes: rng.random_bool(0.7) });
+        }
+    }
+    let (before, after) = posters.split_at(160);
+    let scene = Arc::new(Scene::from_triangles([before, building.triangles(), after].concat()));
+    let cullers = every::all(&scene);
+    let mut scratch = Scratch::default();
+    for (count, side) in [(100, 64), (40, 200)] {
+        let views: Vec<View> = (0..count)
+            .map(|i| {
+                let view = made::visitor(&mut rng, 4, Resolution::new(side, side));
+                let mut eye = view.eye;
+                if i % 4 == 0 {
+                    // Close along a wall, where depths change most.
+                    eye.x = (eye.x / 5.0).round() * 5.0 + [0.101, 0.13, -0.11, 0.2][i / 4 % 4];
+                }
+                View { eye, near: [0.01, 0.3][i % 2], ..view }
+            })
+            .collect();
+        check(&scene, &cullers, views, &mut scratch);
+    }
+}
+
 #[test]
 fn kilometres_beside_millimetres() {
     let mut triangles = made::soup(9, 150).triangles().to_vec();

@@ -129,7 +129,7 @@ fn visits(rooms: u32, count: usize) -> Vec<View> {
 
 #[test]
 fn four_times_the_rooms_behind_shut_walls_cost_the_same() {
-    compare(blocks(1), blocks(2), &visits(SIDE, 60));
+    compare(blocks(1), blocks(2), &visits(SIDE, 200));
 }
 
 #[test]
