@@ -6,6 +6,8 @@ use crate::raster_sampled::Coverage;
 use crate::{Aabb, Budget, Cplp, EyeRegion, ItemBuffer, MaskedCplp, OctreeRules, Scene, Scratch, Traversal, View};
 
 /// A static culler. Shared by workers, each of which brings its scratch.
+///
+/// It has no errors: what it cannot answer, such as a view that [`View::check`] refuses, gets everything and hides nothing.
 pub trait Culler {
     /// The visible set of a view, for every eye of the region, and in `scratch` the occlusion that was found on the way.
     fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled;
@@ -136,7 +138,8 @@ pub(crate) fn everything(scene: &Scene) -> Culled {
     Culled { visible: (0..scene.triangles().len() as u32).collect(), ..Culled::default() }
 }
 
-/// The exact set of a view, ascending, and the item buffer of everything that proves it: the plain Z-buffer's picture.
+/// The exact set of a view, ascending, and the item buffer of everything that proves it: the plain Z-buffer's picture. Empty
+/// for a view that [`View::check`] refuses.
 pub fn exact_set(scene: &Scene, view: &View) -> (Vec<u32>, ItemBuffer) {
     let mut items = ItemBuffer::new(view);
     items.draw_all(scene);

@@ -58,13 +58,16 @@ pub struct MaskedStats {
 
 /// The occluders of one view, as tiles with coverage masks. Reused from frame to frame.
 ///
-/// As an [`Occlusion`] it speaks for its view: what lies outside counts as hidden.
+/// As an [`Occlusion`] it speaks for its view: what lies outside counts as hidden. For a view that [`View::check`] refuses it has
+/// no pixels and hides nothing.
 #[derive(Clone, Debug)]
 pub struct MaskedDepth {
     level: SimdLevel,
     coverage: Coverage,
-    /// `None` before the first view: an image without pixels.
+    /// `None` before the first view, and for one that makes no sense: an image without pixels.
     projector: Option<Projector>,
+    /// Whether the view makes no sense, so that nothing is known.
+    blind: bool,
     tiles: Tiles,
     polygons: u64,
     queries: Cell<u64>,
@@ -83,6 +86,7 @@ impl MaskedDepth {
             level,
             coverage,
             projector: None,
+            blind: false,
             tiles: Tiles::default(),
             polygons: 0,
             queries: Cell::new(0),
@@ -92,8 +96,10 @@ impl MaskedDepth {
 
     /// Forgets everything and starts an image of another view. Writes some 20 bytes a tile.
     pub fn begin(&mut self, view: &View) {
-        self.projector = Some(Projector::new(view));
-        self.tiles.clear(view.resolution.width, view.resolution.height);
+        self.blind = view.check().is_err();
+        self.projector = (!self.blind).then(|| Projector::new(view));
+        let resolution = view.or_without_pixels().resolution;
+        self.tiles.clear(resolution.width, resolution.height);
         self.polygons = 0;
         self.queries.set(0);
         self.tiles_read.set(0);
@@ -128,21 +134,21 @@ impl MaskedDepth {
     /// Whether any point of the box may be seen: in the view, and not behind what was drawn. Rounds outward: doubt is `true`,
     /// also for boxes that touch the eye or the near plane, are empty or not finite.
     pub fn sees_box(&self, aabb: &Aabb) -> bool {
-        let Some(projector) = &self.projector else { return false };
+        let Some(projector) = &self.projector else { return self.blind };
         let level = self.level;
         dispatch!(level, simd => self.answer(simd, Asked::of_box(simd, self, projector, aabb, true)))
     }
 
     /// The same for a ball.
     pub fn sees_ball(&self, centre: DVec3, radius: f64) -> bool {
-        let Some(projector) = &self.projector else { return false };
+        let Some(projector) = &self.projector else { return self.blind };
         let level = self.level;
         dispatch!(level, simd => self.answer(simd, Asked::of_ball(simd, self, projector, centre, radius)))
     }
 
     /// The same for the convex hull of 1 to 8 points: a face between two cells, say.
     pub fn sees_polygon(&self, corners: &[DVec3]) -> bool {
-        let Some(projector) = &self.projector else { return false };
+        let Some(projector) = &self.projector else { return self.blind };
         let level = self.level;
         dispatch!(level, simd => self.answer(simd, Asked::of_hull(simd, self, projector, corners)))
     }
@@ -157,7 +163,7 @@ impl MaskedDepth {
 
     /// Whether any point of the box may be in the view at all, whatever was drawn.
     pub fn in_view(&self, aabb: &Aabb) -> bool {
-        let Some(projector) = &self.projector else { return false };
+        let Some(projector) = &self.projector else { return self.blind };
         let level = self.level;
         !matches!(dispatch!(level, simd => Asked::of_box(simd, self, projector, aabb, false)), Asked::Outside)
     }
@@ -165,12 +171,12 @@ impl MaskedDepth {
     /// The farthest reversed depth (near / distance) at which whole tiles are closed: 0 if a tile has an open pixel, infinite
     /// if the image has no pixels.
     pub fn farthest(&self) -> f32 {
-        self.tiles.farthest()
+        if self.blind { 0.0 } else { self.tiles.farthest() }
     }
 
     /// Whether every pixel is closed nearer than `distance` metres along the view's axis: whatever lies beyond is hidden.
     pub fn is_closed_before(&self, distance: f64) -> bool {
-        let Some(projector) = &self.projector else { return true };
+        let Some(projector) = &self.projector else { return !self.blind };
         let level = self.level;
         let z = projector.near / distance * (1.0 + 1e-6);
         // NaN closes nothing.

@@ -50,8 +50,9 @@ impl ItemBuffer {
     /// The id of a pixel that nothing covers. No triangle may have it.
     pub const NONE: u32 = u32::MAX;
 
-    /// An empty image of a view.
+    /// An empty image of a view. Without pixels if [`View::check`] refuses it.
     pub fn new(view: &View) -> ItemBuffer {
+        let view = &view.or_without_pixels();
         let mut buffer = ItemBuffer {
             projector: Projector::new(view),
             resolution: view.resolution,
@@ -66,6 +67,7 @@ impl ItemBuffer {
 
     /// Forgets everything, scissor included, and starts an image of another view.
     pub fn begin(&mut self, view: &View) {
+        let view = &view.or_without_pixels();
         self.projector = Projector::new(view);
         self.resolution = view.resolution;
         self.scissor = PixelRect::whole(view.resolution);

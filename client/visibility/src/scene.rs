@@ -33,6 +33,20 @@ impl Triangle {
     }
 }
 
+/// Why triangles make no scene.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SceneError {
+    /// A corner is NaN or infinite.
+    #[error("triangle {triangle} has corners {corners:?}, which must be finite")]
+    NotFinite {
+        /// Index of the triangle.
+        triangle: usize,
+        /// Its corners.
+        corners: [Vec3; 3],
+    },
+}
+
 /// The triangles of one node of the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Node {
@@ -64,10 +78,27 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// A scene of these triangles, in this order, with one nameless node. Corners must be finite.
+    /// A scene of these triangles, in this order, with one nameless node.
+    ///
+    /// Any finite triangle will do: one of zero area, or a point, covers no pixel and hides nothing.
+    ///
+    /// # Panics
+    /// If a corner is not finite. What comes from outside belongs into [`Scene::try_from_triangles`].
     pub fn from_triangles(triangles: Vec<Triangle>) -> Scene {
+        Scene::try_from_triangles(triangles).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// The same for triangles that nobody has looked at.
+    ///
+    /// # Errors
+    /// If a corner is not finite. Leaving its triangle out would change the ids of all that follow.
+    pub fn try_from_triangles(triangles: Vec<Triangle>) -> Result<Scene, SceneError> {
+        let bad = triangles.iter().position(|triangle| !triangle.corners.iter().all(|corner| corner.is_finite()));
+        if let Some(triangle) = bad {
+            return Err(SceneError::NotFinite { triangle, corners: triangles[triangle].corners });
+        }
         let nodes = vec![Node { name: String::new(), primitives: 0..triangles.len() as u32 }];
-        Scene::from_parts(DVec3::ZERO, triangles, nodes, Vec::new())
+        Ok(Scene::from_parts(DVec3::ZERO, triangles, nodes, Vec::new()))
     }
 
     /// A scene of given parts. `nodes` must cover the triangles in order.

@@ -125,9 +125,10 @@ impl Scratch {
         (self.under.insert(under), &mut self.cplp)
     }
 
-    /// Whether an image that is sampled from the view's own eye can speak for a region; it does from now on if so.
+    /// Whether an image that is sampled from the view's own eye can speak for a region; it does from now on if so. No image
+    /// speaks for a view that makes no sense.
     fn speak(&mut self, speaker: Speaker, view: &View, region: EyeRegion) -> bool {
-        let speaks = region == EyeRegion::point(view.eye);
+        let speaks = region == EyeRegion::point(view.eye) && view.check().is_ok();
         self.speaker = if speaks { speaker } else { Speaker::Nothing };
         speaks
     }

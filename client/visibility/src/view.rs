@@ -30,6 +30,10 @@ impl std::fmt::Display for Resolution {
 }
 
 /// Eye position, orientation, perspective projection and resolution. Pixels are square; row 0 is at the top.
+///
+/// The fields are public, so anything may stand in them: [`View::check`] says whether it makes sense. Whoever is given a view
+/// that does not errs on the safe side. A [`crate::Culler`] reports everything as visible and nothing as hidden; an image of
+/// it has no pixels, so that its exact set is empty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Eye, in scene coordinates (relative to the scene's anchor).
@@ -45,9 +49,51 @@ pub struct View {
 }
 
 impl View {
+    /// The nearest that the near plane may be, in metres. Depths are near / distance in f32, which must not run out of digits.
+    pub const NEAR_MIN: f64 = 1e-6;
+
+    /// The most columns or rows of an image.
+    pub const SIDE_MAX: u32 = 1 << 16;
+
+    /// The most pixels of an image: 8192 × 8192, half a gigabyte in an item buffer.
+    pub const PIXELS_MAX: usize = 1 << 26;
+
     /// A level view from `eye` towards `yaw` radians (0 looks along −Z, positive turns left, towards −X).
     pub fn level(eye: DVec3, yaw: f64, fov_x: f64, resolution: Resolution) -> View {
         View { eye, orientation: DQuat::from_rotation_y(yaw), fov_x, resolution, near: 0.01 }
+    }
+
+    /// Whether this is a view at all. A view without pixels is one; it shows nothing.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn check(&self) -> Result<(), ViewError> {
+        let View { eye, orientation, fov_x, resolution, near } = *self;
+        if !eye.is_finite() {
+            return Err(ViewError::Eye(eye));
+        }
+        // NaN fails each of these.
+        if !((orientation.length_squared() - 1.0).abs() <= UNIT_SLACK) {
+            return Err(ViewError::Orientation(orientation));
+        }
+        if !(fov_x > 0.0 && fov_x < std::f64::consts::PI) {
+            return Err(ViewError::FovX(fov_x));
+        }
+        if !(near >= View::NEAR_MIN && near.is_finite()) {
+            return Err(ViewError::Near(near));
+        }
+        if resolution.width.max(resolution.height) > View::SIDE_MAX || resolution.pixels() > View::PIXELS_MAX {
+            return Err(ViewError::Resolution(resolution));
+        }
+        Ok(())
+    }
+
+    /// The view itself, or one without pixels in place of one that is none.
+    pub(crate) fn or_without_pixels(&self) -> View {
+        match self.check() {
+            Ok(()) => *self,
+            Err(_) => View::level(DVec3::ZERO, 0.0, 1.0, Resolution::new(0, 0)),
+        }
     }
 
     /// Pixels per unit of tangent: half the width over tan(fov_x / 2).
@@ -75,6 +121,30 @@ impl View {
             near: 0.01,
         })
     }
+}
+
+/// How far the square of an orientation's length may be from 1: what f32 quaternions come to after many turns.
+const UNIT_SLACK: f64 = 1e-3;
+
+/// Why a [`View`] makes no sense.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ViewError {
+    /// The eye is not a finite point.
+    #[error("an eye at {0} is nowhere")]
+    Eye(DVec3),
+    /// The orientation is not finite or not of unit length.
+    #[error("{0} is no rotation: its length must be 1")]
+    Orientation(DQuat),
+    /// The angle of view is NaN or out of range.
+    #[error("an angle of view of {0} rad is not between 0 and pi")]
+    FovX(f64),
+    /// The near plane is too near, behind the eye, infinitely far or NaN.
+    #[error("a near plane at {0} m is not finite and at least {min} m away", min = View::NEAR_MIN)]
+    Near(f64),
+    /// The image is too large.
+    #[error("an image of {0} pixels is more than {side} a side or {pixels} in all", side = View::SIDE_MAX, pixels = View::PIXELS_MAX)]
+    Resolution(Resolution),
 }
 
 /// The ball of eye positions that visibility must hold for. A point is a region of radius 0.

@@ -66,6 +66,7 @@ impl<C: Colour> Passes<C> {
 
     pub(super) fn begin(&mut self, view: &View) {
         self.depth.begin(view);
+        let view = &view.or_without_pixels();
         self.size = [view.resolution.width as usize, view.resolution.height as usize];
         self.side = if self.tile_side == 0 { self.size[0].max(self.size[1]).max(1) } else { self.tile_side };
         self.columns = self.size[0].div_ceil(self.side);
@@ -113,7 +114,11 @@ impl<C: Colour> Passes<C> {
     }
 
     pub(super) fn is_full(&self) -> bool {
-        self.finished.iter().all(|&finished| finished)
+        if self.finished.is_empty() {
+            self.depth.has_no_pixels()
+        } else {
+            self.finished.iter().all(|&finished| finished)
+        }
     }
 
     pub(super) fn finished_tiles(&self) -> Vec<PixelRect> {

@@ -88,6 +88,8 @@ impl BoxImage {
                 high = high.min(at);
             }
         }
+        // A nearly level line ends far outside, farther than an i32 reaches: a column beyond the box's says as much.
+        let (low, high) = (low.min(f64::from(self.x[1]) + 1.0), high.max(f64::from(self.x[0]) - 1.0));
         // Conversions go towards zero, so that a high below zero needs the correction too.
         let [first, last] = [low as i32, high as i32];
         [first + i32::from(f64::from(first) < low), last - i32::from(f64::from(last) > high)]

@@ -14,9 +14,12 @@ pub(crate) const TILE: usize = 8;
 ///
 /// As an [`Occlusion`] it speaks for the view it was made for and its pixel centres only: what it hides, drawn by
 /// [`crate::ItemBuffer`] in this very view, wins no pixel. Out of view counts as hidden. Other resolutions and eyes may see it.
+/// For a view that [`View::check`] refuses it has no pixels and hides nothing.
 #[derive(Clone, Debug)]
 pub struct DepthBuffer {
     projector: Projector,
+    /// Whether the view makes no sense, so that nothing is known.
+    blind: bool,
     /// Rows of `tiles_x` · 8 pixels. Those beyond the image are infinitely near and never seen through.
     depths: Vec<f32>,
     tiles_x: usize,
@@ -35,7 +38,8 @@ impl DepthBuffer {
     /// An empty image of a view.
     pub fn new(view: &View) -> DepthBuffer {
         let mut buffer = DepthBuffer {
-            projector: Projector::new(view),
+            projector: Projector::new(&view.or_without_pixels()),
+            blind: false,
             depths: Vec::new(),
             tiles_x: 0,
             farthest: Vec::new(),
@@ -49,6 +53,8 @@ impl DepthBuffer {
 
     /// Forgets everything and starts an image of another view.
     pub fn begin(&mut self, view: &View) {
+        self.blind = view.check().is_err();
+        let view = &view.or_without_pixels();
         self.projector = Projector::new(view);
         let (width, height) = (view.resolution.width as usize, view.resolution.height as usize);
         self.tiles_x = width.div_ceil(TILE);
@@ -119,7 +125,9 @@ impl DepthBuffer {
     /// What the image can say about a box before it looks at depths.
     pub(super) fn place(&self, aabb: &Aabb) -> Place {
         let projector = &self.projector;
-        if aabb.contains(projector.eye()) {
+        // Of a box that is not finite nothing is known. No cell is like this.
+        let is_finite = aabb.min.is_finite() && aabb.max.is_finite();
+        if self.blind || !is_finite || aabb.contains(projector.eye()) {
             return Place::Touching;
         }
         let points = aabb.corners().map(|corner| projector.view_point(corner));
@@ -157,7 +165,7 @@ impl DepthBuffer {
 
     /// Whether a sealed face hides what is beyond it: see `seal.rs`.
     pub(crate) fn believes(&self, seal: &SealedFace<'_>) -> bool {
-        seal::holds(&self.projector, seal, |x, y| self.depths[y * self.tiles_x * TILE + x])
+        !self.blind && seal::holds(&self.projector, seal, |x, y| self.depths[y * self.tiles_x * TILE + x])
     }
 
     fn sees(&self, aabb: &Aabb) -> bool {
@@ -216,8 +224,9 @@ impl DepthBuffer {
         self.farthest[tile].get()
     }
 
+    /// Whether nothing can be seen in it, for want of pixels.
     pub(crate) fn has_no_pixels(&self) -> bool {
-        self.depths.is_empty()
+        self.depths.is_empty() && !self.blind
     }
 
     /// Columns and rows of tiles of [`TILE`]² pixels.
@@ -239,10 +248,6 @@ impl DepthBuffer {
 
     /// What an image with everything rounded outward shows of a box.
     pub(crate) fn box_place(&self, aabb: &Aabb) -> BoxPlace {
-        if !(aabb.min.is_finite() && aabb.max.is_finite()) {
-            // No cell is like this; of anything else nothing is known.
-            return BoxPlace::Touching;
-        }
         match self.place(aabb) {
             Place::Outside => BoxPlace::Outside,
             Place::Touching => BoxPlace::Touching,

@@ -112,3 +112,56 @@ pub fn visitor(rng: &mut Pcg64, side: u32, resolution: Resolution) -> View {
     let eye = DVec3::new(along(), 1.6, along());
     View::level(eye, rng.random_range(0.0..TAU), 80.0_f64.to_radians(), resolution)
 }
+
+/// The same triangles as a .glb file of nodes with `boxes` boxes of twelve triangles each, loaded: what does not occlude
+/// blends, and each node's mesh has one primitive per kind of triangle.
+pub fn with_nodes(scene: &Scene, boxes: usize) -> Scene {
+    use serde_json::{Value, json};
+    let kinds = [(Sides::Front, true), (Sides::Front, false), (Sides::Both, true), (Sides::Both, false)];
+    let material = |(sides, occludes): (Sides, bool)| json!({"doubleSided": sides == Sides::Both, "alphaMode": if occludes { "OPAQUE" } else { "BLEND" }});
+    let (mut bytes, mut views, mut accessors, mut meshes, mut nodes) = (vec![], vec![], vec![], vec![], vec![]);
+    for chunk in scene.triangles().chunks(12 * boxes) {
+        let mut primitives: Vec<Value> = Vec::new();
+        for (index, kind) in kinds.iter().enumerate() {
+            let of_kind: Vec<&Triangle> = chunk.iter().filter(|t| (t.sides, t.occludes) == *kind).collect();
+            if of_kind.is_empty() {
+                continue;
+            }
+            let corners: Vec<Vec3> = of_kind.iter().flat_map(|t| t.corners).collect();
+            let least = corners.iter().copied().reduce(Vec3::min).unwrap();
+            let greatest = corners.iter().copied().reduce(Vec3::max).unwrap();
+            views.push(json!({"buffer": 0, "byteOffset": bytes.len(), "byteLength": corners.len() * 12}));
+            accessors.push(json!({
+                "bufferView": views.len() - 1, "componentType": 5126, "count": corners.len(), "type": "VEC3",
+                "min": least.to_array(), "max": greatest.to_array(),
+            }));
+            primitives.push(json!({"attributes": {"POSITION": accessors.len() - 1}, "material": index}));
+            bytes.extend(corners.iter().flat_map(|c| c.to_array()).flat_map(f32::to_le_bytes));
+        }
+        meshes.push(json!({"primitives": primitives}));
+        nodes.push(json!({"mesh": meshes.len() - 1, "name": format!("part {}", nodes.len())}));
+    }
+    let all: Vec<usize> = (0..nodes.len()).collect();
+    let mut description = json!({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": all}], "nodes": nodes, "meshes": meshes,
+        "materials": kinds.map(material), "accessors": accessors, "bufferViews": views,
+        "buffers": [{"byteLength": bytes.len()}],
+    })
+    .to_string()
+    .into_bytes();
+    description.resize(description.len().next_multiple_of(4), b' ');
+    let word = |n: usize| (n as u32).to_le_bytes();
+    let glb = [
+        &b"glTF"[..],
+        &word(2),
+        &word(12 + 8 + description.len() + 8 + bytes.len()),
+        &word(description.len()),
+        b"JSON",
+        &description,
+        &word(bytes.len()),
+        b"BIN\0",
+        &bytes,
+    ]
+    .concat();
+    eyeline_visibility::load_glb(&glb, "made", &eyeline_visibility::LoadOptions::default()).unwrap()
+}
