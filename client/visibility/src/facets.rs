@@ -11,7 +11,8 @@ use glam::{DVec3, Vec3};
 use crate::occluders::Loops;
 use crate::{Scene, Sides};
 
-/// The facets of a scene, the largest first. Never changes once made.
+/// The facets of a scene, in the order of their first primitives, so that neighbours are near in memory too. Never changes
+/// once made.
 #[derive(Clone, Debug)]
 pub(crate) struct Facets {
     corners: Vec<Vec3>,
@@ -41,21 +42,13 @@ impl Facets {
     /// The facets of a scene's occluding triangles.
     pub(crate) fn build(scene: &Scene) -> Facets {
         let loops = Loops::with_all_corners(scene);
-        let mut order: Vec<(f64, usize)> = loops
-            .loops
-            .iter()
-            .enumerate()
-            .filter(|(_, polygon)| !polygon.corners.is_empty())
-            .map(|(index, polygon)| (area(&loops.positions, &polygon.corners), index))
-            .collect();
-        order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let order = || loops.loops.iter().filter(|polygon| !polygon.corners.is_empty());
         let mut facets = Facets {
             corners: Vec::new(),
-            facets: Vec::with_capacity(order.len()),
+            facets: Vec::with_capacity(order().count()),
             facet_of: vec![NONE; scene.triangles().len()],
         };
-        for (area, index) in order {
-            let polygon = &loops.loops[index];
+        for polygon in order() {
             for &primitive in &polygon.primitives {
                 facets.facet_of[primitive as usize] = facets.facets.len() as u32;
             }
@@ -67,7 +60,7 @@ impl Facets {
                 first,
                 count: own.len() as u32,
                 sides: polygon.sides,
-                area,
+                area: area(&loops.positions, &polygon.corners),
                 normal: polygon.normal,
                 height,
             });
@@ -75,7 +68,7 @@ impl Facets {
         facets
     }
 
-    /// Number of facets. Their numbers run from the largest to the smallest.
+    /// Number of facets.
     pub(crate) fn len(&self) -> usize {
         self.facets.len()
     }
@@ -115,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_on_straight_edges_are_kept_and_the_largest_comes_first() {
+    fn corners_on_straight_edges_are_kept() {
         // Two squares side by side share an edge; a third triangle elsewhere is larger.
         let triangles = vec![
             triangle([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]]),
@@ -126,12 +119,12 @@ mod tests {
         ];
         let facets = Facets::build(&Scene::from_triangles(triangles));
         assert_eq!(facets.len(), 2);
-        assert_eq!(facets.facet_of(4), Some(0));
-        assert_eq!(facets.facet(0).area, 8.0);
-        assert_eq!(facets.corners(1).len(), 6);
-        assert_eq!(facets.facet(1).area, 2.0);
-        assert_eq!(facets.facet(1).normal, DVec3::Z);
-        assert_eq!(facets.facet(1).height, 0.0);
-        assert!((0..4).all(|primitive| facets.facet_of(primitive) == Some(1)));
+        let (merged, single) = (facets.facet_of(0).unwrap(), facets.facet_of(4).unwrap());
+        assert_eq!(facets.facet(single).area, 8.0);
+        assert_eq!(facets.corners(merged).len(), 6);
+        assert_eq!(facets.facet(merged).area, 2.0);
+        assert_eq!(facets.facet(merged).normal, DVec3::Z);
+        assert_eq!(facets.facet(merged).height, 0.0);
+        assert!((0..4).all(|primitive| facets.facet_of(primitive) == Some(merged)));
     }
 }

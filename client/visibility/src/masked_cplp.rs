@@ -38,10 +38,18 @@ pub struct MaskedCplp {
     facets: Facets,
     /// `cell_facets[facet_starts[c]..facet_starts[c + 1]]` are the facets that touch cell c, the largest first.
     facet_starts: Vec<u32>,
-    cell_facets: Vec<u32>,
+    cell_facets: Vec<CellFacet>,
     clusters: Clusters,
     cell_clusters: CellClusters,
     occluder_px: f64,
+}
+
+/// A facet as a cell lists it.
+#[derive(Clone, Copy, Debug)]
+struct CellFacet {
+    /// Area in square metres, rounded up: what most facets need not be looked up for.
+    area: f32,
+    facet: u32,
 }
 
 /// What one worker needs, kept from frame to frame. A mark counts if it is the present frame's.
@@ -80,7 +88,10 @@ impl MaskedCplp {
             of_cell.extend(tessellation.primitives(cell).iter().filter_map(|&primitive| facets.facet_of(primitive)));
             of_cell.sort_unstable();
             of_cell.dedup();
-            cell_facets.extend_from_slice(&of_cell);
+            let first = cell_facets.len();
+            let listed = |&facet: &u32| CellFacet { area: (facets.facet(facet).area as f32).next_up(), facet };
+            cell_facets.extend(of_cell.iter().map(listed));
+            cell_facets[first..].sort_by(|a: &CellFacet, b| b.area.total_cmp(&a.area));
             facet_starts.push(cell_facets.len() as u32);
         }
         let clusters = Clusters::build(&scene, Clusters::TRIANGLES_MAX);
@@ -234,15 +245,15 @@ impl Walk<'_> {
         let facets = of.facet_starts[cell as usize] as usize..of.facet_starts[cell as usize + 1] as usize;
         // A facet's part in this cell is no nearer than the cell; its part in another cell is drawn from there.
         let distance2 = self.eye.clamp(aabb.min, aabb.max).distance_squared(self.eye);
-        let area_min = of.occluder_px * distance2 / self.focal2;
-        for &index in &of.cell_facets[facets] {
-            let facet = of.facets.facet(index);
-            if facet.area < area_min {
+        let area_min = (of.occluder_px * distance2 / self.focal2) as f32;
+        for &CellFacet { area, facet: index } in &of.cell_facets[facets] {
+            if area < area_min {
                 break;
             }
             if std::mem::replace(&mut scratch.facets[index as usize], scratch.frame) == scratch.frame {
                 continue;
             }
+            let facet = of.facets.facet(index);
             let in_front = facet.normal.dot(self.eye) > facet.height;
             if in_front || facet.sides == Sides::Both {
                 scratch.image.draw_polygon_f32(of.facets.corners(index), facet.sides);

@@ -7,6 +7,7 @@ use fearless_simd::f64x8;
 use fearless_simd::prelude::*;
 
 use super::LOOP_MAX;
+use super::lanes::Plane;
 use crate::raster_sampled::setup::{DEPTH_SLACK, Projector, ViewPoint};
 
 /// Edges that turn by more columns a row than this are left out: in f32 they would be wrong by a part of a column.
@@ -48,6 +49,15 @@ pub(super) struct Detail {
 const NO_BOUND: f64 = 1e18;
 
 impl Detail {
+    /// Writes the planes as they are in the tile that begins with this column and row behind the first limit.
+    #[inline(always)]
+    pub(super) fn limits(&self, limits: &mut [Plane; 4], column: usize, row: f64) {
+        for (limit, plane) in limits[1..].iter_mut().zip(&self.planes[..self.plane_count]) {
+            let at = plane.origin + plane.x * column as f64 + plane.y * row;
+            *limit = Plane { at: at as f32, dx: plane.x as f32, dy: plane.y as f32 };
+        }
+    }
+
     #[inline(always)]
     fn new() -> Detail {
         Detail {

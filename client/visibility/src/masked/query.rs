@@ -4,12 +4,13 @@
 //! Tiles that are open so far are then asked about the silhouette only, pixel by pixel, and about bounds of the thing's depth
 //! that are linear over the image: a convex body starts, along each ray, at the farthest of the planes that face the eye.
 
-use fearless_simd::f64x8;
 use fearless_simd::prelude::*;
+use fearless_simd::{f32x8, f64x8};
 use glam::DVec3;
 
 use super::lanes::{Plane, TILE_X, TILE_Y, columns_outward, narrow, ramp, splat};
-use super::outline::{EDGES_MAX, Outline, tangents};
+use super::outline::{Detail, EDGES_MAX, Outline, tangents};
+use super::tiles::BLOCK;
 use super::{Coverage, LOOP_MAX, MaskedDepth};
 use crate::Aabb;
 use crate::raster_sampled::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
@@ -214,6 +215,33 @@ fn range<S: Simd>(simd: S, v: f64x8<S>, reach: f64) -> [f64; 2] {
     [simd.reduce_min_f64x8(v) - reach, simd.reduce_max_f64x8(v) + reach]
 }
 
+/// The columns that a silhouette begins and ends with in each row of a row of tiles, and the first and last tile that these are
+/// in; descending if there are none.
+#[inline(always)]
+fn row_of<S: Simd>(simd: S, asked: &Place, detail: &Detail, top: f64) -> (f32x8<S>, f32x8<S>, usize, usize) {
+    let rows = ramp(simd);
+    let (mut from, mut to) = (splat(simd, asked.x[0] as f32), splat(simd, asked.x[1] as f32));
+    let turned = f64x8::from_slice(simd, &detail.turn) * top;
+    let left = offsets(simd, &detail.left, turned);
+    let right = offsets(simd, &detail.right, turned);
+    for i in 0..detail.edge_count {
+        let across = rows * (detail.turn[i] as f32);
+        from = simd.max_f32x8(from, across + left[i]);
+        to = simd.min_f32x8(to, across + right[i]);
+    }
+    let (first, last) = (asked.y[0] as f32 - top as f32, asked.y[1] as f32 - top as f32);
+    let inside = rows.simd_ge(splat(simd, first)) & rows.simd_le(splat(simd, last)) & from.simd_le(to + 1.0);
+    if !inside.any_true() {
+        return (from, to, 1, 0);
+    }
+    to = inside.select(to, splat(simd, -2.0));
+    let least = simd.reduce_min_f32x8(inside.select(from, splat(simd, f32::MAX)));
+    let greatest = simd.reduce_max_f32x8(to);
+    let first = (least as usize / TILE_X).max(asked.x[0] as usize / TILE_X);
+    let last = (greatest.max(0.0) as usize / TILE_X).min(asked.x[1] as usize / TILE_X);
+    (from, to, first, last)
+}
+
 /// The first and last of `size` pixels whose centres lie between `low` and `high`; descending if there is none.
 #[inline(always)]
 fn centres([low, high]: [f64; 2], size: i32) -> [i32; 2] {
@@ -262,41 +290,33 @@ impl MaskedDepth {
                 continue;
             }
             let top = (tile_y * TILE_Y) as f64;
-            let rows = ramp(simd);
-            let (mut from, mut to) = (splat(simd, asked.x[0] as f32), splat(simd, asked.x[1] as f32));
-            let turned = f64x8::from_slice(simd, &detail.turn) * top;
-            let left = offsets(simd, &detail.left, turned);
-            let right = offsets(simd, &detail.right, turned);
-            for i in 0..detail.edge_count {
-                let across = rows * (detail.turn[i] as f32);
-                from = simd.max_f32x8(from, across + left[i]);
-                to = simd.min_f32x8(to, across + right[i]);
-            }
-            let (first, last) = (asked.y[0] as f32 - top as f32, asked.y[1] as f32 - top as f32);
-            let inside = rows.simd_ge(splat(simd, first)) & rows.simd_le(splat(simd, last)) & from.simd_le(to + 1.0);
-            if !inside.any_true() {
-                continue;
-            }
-            to = inside.select(to, splat(simd, -2.0));
-            let least = simd.reduce_min_f32x8(inside.select(from, splat(simd, f32::MAX)));
-            let greatest = simd.reduce_max_f32x8(to);
-            let first = (least as usize / TILE_X).max(tiles_x[0]);
-            let last = (greatest.max(0.0) as usize / TILE_X).min(tiles_x[1]);
-            for tile_x in first..=last {
-                if self.tiles.least_at(tile_x, tile_y) > asked.z {
+            let mut edges = None;
+            for block_x in tiles_x[0] / BLOCK..=tiles_x[1] / BLOCK {
+                let mut limits = [Plane { at: asked.z, dx: 0.0, dy: 0.0 }; 4];
+                detail.limits(&mut limits, block_x * BLOCK * TILE_X, top);
+                // Most tiles are decided here, eight at a time, whatever part of them is asked about.
+                let mut undecided = self.tiles.undecided(simd, block_x, tile_y, &limits[..1 + detail.plane_count]);
+                if undecided == 0 {
                     continue;
                 }
-                let column = (tile_x * TILE_X) as f32;
-                let mask = columns_outward(simd, from - column, to - column);
-                read += 1;
-                let mut limits = [Plane { at: asked.z, dx: 0.0, dy: 0.0 }; 4];
-                for (limit, plane) in limits[1..].iter_mut().zip(&detail.planes[..detail.plane_count]) {
-                    let at = plane.origin + plane.x * f64::from(column) + plane.y * top;
-                    *limit = Plane { at: at as f32, dx: plane.x as f32, dy: plane.y as f32 };
-                }
-                if self.tiles.open(simd, tile_x, tile_y, mask, &limits[..1 + detail.plane_count]) {
-                    seen = true;
-                    break 'rows;
+                let (from, to, first, last) = match edges {
+                    Some(edges) => edges,
+                    None => *edges.insert(row_of(simd, asked, &detail, top)),
+                };
+                while undecided != 0 {
+                    let tile_x = block_x * BLOCK + undecided.trailing_zeros() as usize;
+                    undecided &= undecided - 1;
+                    if tile_x < first || tile_x > last {
+                        continue;
+                    }
+                    let column = tile_x * TILE_X;
+                    let mask = columns_outward(simd, from - column as f32, to - column as f32);
+                    read += 1;
+                    detail.limits(&mut limits, column, top);
+                    if self.tiles.open(simd, tile_x, tile_y, mask, &limits[..1 + detail.plane_count]) {
+                        seen = true;
+                        break 'rows;
+                    }
                 }
             }
         }

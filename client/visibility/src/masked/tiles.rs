@@ -14,7 +14,7 @@
 use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, u32x8};
 
-use super::lanes::{LAST_X, LAST_Y, Plane, TILE_X, TILE_Y, above, is_empty, ramp, splat};
+use super::lanes::{LAST_X, LAST_Y, Plane, ROUNDING, TILE_X, TILE_Y, above, is_empty, ramp, splat};
 use super::merge::{Fits, SAME};
 use super::pixels::{self, Pixels};
 
@@ -102,12 +102,6 @@ impl Tiles {
         }
     }
 
-    /// Least depth of a tile's reference.
-    #[inline(always)]
-    pub(super) fn least_at(&self, tile_x: usize, tile_y: usize) -> f32 {
-        self.least[tile_y * self.blocks_x + tile_x / BLOCK][tile_x % BLOCK]
-    }
-
     /// Whether every tile's reference is nearer than `z`.
     #[inline(always)]
     pub(super) fn all_nearer<S: Simd>(&self, simd: S, z: f32) -> bool {
@@ -141,6 +135,31 @@ impl Tiles {
             }
         }
         true
+    }
+
+    /// The tiles of a block, by bits, that their references do not hide as a whole: nothing is known about them yet. `limits` are
+    /// those of [`Tiles::open`], in the block's first tile.
+    #[inline(always)]
+    pub(super) fn undecided<S: Simd>(&self, simd: S, block_x: usize, tile_y: usize, limits: &[Plane]) -> u64 {
+        let index = tile_y * self.blocks_x + block_x;
+        let zero = splat(simd, 0.0);
+        let block = &self.blocks[index];
+        let at = f32x8::from_slice(simd, &block.at);
+        let dx = f32x8::from_slice(simd, &block.dx) * LAST_X;
+        let dy = f32x8::from_slice(simd, &block.dy) * LAST_Y;
+        let size = simd.abs_f32x8(at) + simd.abs_f32x8(dx) + simd.abs_f32x8(dy);
+        let mut best = splat(simd, f32::NEG_INFINITY);
+        for limit in limits {
+            let step = limit.dx * TILE_X as f32;
+            let limit_at = ramp(simd) * step + limit.at;
+            // Over the whole block, so that stepping along it is bounded too.
+            let limit_size = limit.at.abs() + BLOCK as f32 * step.abs() + (limit.dy * LAST_Y).abs();
+            let (over_x, over_y) = (dx - limit.dx * LAST_X, dy - limit.dy * LAST_Y);
+            let worst = at - limit_at + simd.min_f32x8(over_x, zero) + simd.min_f32x8(over_y, zero);
+            best = simd.max_f32x8(best, worst - (size + limit_size) * ROUNDING);
+        }
+        let closed = best.simd_gt(zero) & f32x8::from_slice(simd, &self.least[index]).simd_gt(zero);
+        !closed.to_bitmask() & 0xff
     }
 
     /// The least depth of all references; infinite for an image without pixels.
