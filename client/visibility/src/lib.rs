@@ -24,6 +24,7 @@ mod masked_cplp;
 mod occluders;
 mod occlusion;
 mod octree;
+mod pyramid;
 mod query;
 mod raster_sampled;
 mod ray;

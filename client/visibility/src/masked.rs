@@ -50,6 +50,8 @@ pub enum Coverage {
 pub struct MaskedStats {
     /// Polygons that were in view and not turned away.
     pub polygons: u64,
+    /// Tiles whose depths are kept pixel by pixel.
+    pub tiles_detailed: u64,
     /// Questions asked about boxes, balls and polygons.
     pub queries: u64,
     /// Tiles whose masks and planes a question had to read.
@@ -112,7 +114,12 @@ impl MaskedDepth {
 
     /// Work done since the view began.
     pub fn stats(&self) -> MaskedStats {
-        MaskedStats { polygons: self.polygons, queries: self.queries.get(), tiles_read: self.tiles_read.get() }
+        MaskedStats {
+            polygons: self.polygons,
+            tiles_detailed: self.tiles.detailed() as u64,
+            queries: self.queries.get(),
+            tiles_read: self.tiles_read.get(),
+        }
     }
 
     /// Draws a convex loop of 3 to 8 corners, anticlockwise as seen from its front. Of another loop it draws what is inside all

@@ -25,6 +25,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use crate::facets::Facets;
+use crate::pyramid::{Part, Pyramid};
 use crate::{
     Aabb, CellClusters, CellId, Clusters, Coverage, Face, KdRules, KdTree, MaskedDepth, Scene, Sides, Tessellation,
     Traversal, View,
@@ -137,6 +138,7 @@ impl MaskedCplp {
             cells: self.tessellation.cells(),
             eye: view.eye,
             focal2: view.focal_px() * view.focal_px(),
+            pyramid: Pyramid::new(view),
             scratch,
             done: Traversal::default(),
         };
@@ -153,6 +155,7 @@ struct Walk<'a> {
     cells: &'a crate::Cells,
     eye: DVec3,
     focal2: f64,
+    pyramid: Pyramid,
     scratch: &'a mut MaskedCplpScratch,
     done: Traversal,
 }
@@ -203,10 +206,34 @@ impl Walk<'_> {
             if self.scratch.cells[to as usize] == self.scratch.frame {
                 continue;
             }
-            self.done.queries += 1;
-            let asked = if way & HULL != 0 { rectangle } else { self.pushed(&rectangle) };
-            if self.scratch.image.sees_box(&asked) {
+            if self.sees(&rectangle, way) {
                 self.enter(to);
+            }
+        }
+    }
+
+    fn sees(&mut self, rectangle: &Aabb, way: u32) -> bool {
+        let (asked, axis) = if way & HULL != 0 {
+            (*rectangle, Face::ALL[(way & !HULL) as usize].axis())
+        } else {
+            let flat = rectangle.max - rectangle.min;
+            (
+                self.pushed(rectangle),
+                if flat.x == 0.0 {
+                    0
+                } else if flat.y == 0.0 {
+                    1
+                } else {
+                    2
+                },
+            )
+        };
+        match self.pyramid.part(&asked, axis) {
+            Part::Outside => false,
+            Part::Near => true,
+            Part::In(corners, count) => {
+                self.done.queries += 1;
+                self.scratch.image.sees_polygon(&corners[..count])
             }
         }
     }

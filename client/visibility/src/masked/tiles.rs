@@ -137,6 +137,11 @@ impl Tiles {
         true
     }
 
+    /// Number of tiles that keep their depths pixel by pixel.
+    pub(super) fn detailed(&self) -> usize {
+        self.detailed
+    }
+
     /// The tiles of a block, by bits, that their references do not hide as a whole: nothing is known about them yet. `limits` are
     /// those of [`Tiles::open`], in the block's first tile.
     #[inline(always)]
