@@ -51,7 +51,7 @@ const NO_BOUND: f64 = 1e18;
 impl Detail {
     /// Writes the planes as they are in the tile that begins with this column and row behind the first limit.
     #[inline(always)]
-    pub(super) fn limits(&self, limits: &mut [Plane; 4], column: usize, row: f64) {
+    pub(super) fn limits(&self, limits: &mut [Plane], column: usize, row: f64) {
         for (limit, plane) in limits[1..].iter_mut().zip(&self.planes[..self.plane_count]) {
             let at = plane.origin + plane.x * column as f64 + plane.y * row;
             *limit = Plane { at: at as f32, dx: plane.x as f32, dy: plane.y as f32 };

@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use super::lanes::{Plane, TILE_X, TILE_Y, columns_outward, narrow, ramp, splat};
 use super::outline::{Detail, EDGES_MAX, Outline, tangents};
-use super::tiles::BLOCK;
+use super::tiles::{BLOCK, BLOCKS_ASKED};
 use super::{Coverage, LOOP_MAX, MaskedDepth};
 use crate::Aabb;
 use crate::raster_sampled::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
@@ -285,17 +285,17 @@ impl MaskedDepth {
         let tiles_y = [asked.y[0] as usize / TILE_Y, asked.y[1] as usize / TILE_Y];
         let mut read = 0;
         let mut seen = false;
+        let [block_first, block_last] = tiles_x.map(|tile_x| tile_x / BLOCK);
         'rows: for tile_y in tiles_y[0]..=tiles_y[1] {
-            if self.tiles.nearer_in(simd, tiles_x, [tile_y, tile_y], asked.z) {
-                continue;
-            }
             let top = (tile_y * TILE_Y) as f64;
             let mut edges = None;
-            for block_x in tiles_x[0] / BLOCK..=tiles_x[1] / BLOCK {
+            for block_x in (block_first..=block_last).step_by(BLOCKS_ASKED) {
+                let blocks = (block_last + 1 - block_x).min(BLOCKS_ASKED);
                 let mut limits = [Plane { at: asked.z, dx: 0.0, dy: 0.0 }; 4];
                 detail.limits(&mut limits, block_x * BLOCK * TILE_X, top);
+                let limits = &mut limits[..1 + detail.plane_count];
                 // Most tiles are decided here, eight at a time, whatever part of them is asked about.
-                let mut undecided = self.tiles.undecided(simd, block_x, tile_y, &limits[..1 + detail.plane_count]);
+                let mut undecided = self.tiles.undecided(simd, block_x, blocks, tile_y, limits);
                 if undecided == 0 {
                     continue;
                 }
@@ -312,8 +312,8 @@ impl MaskedDepth {
                     let column = tile_x * TILE_X;
                     let mask = columns_outward(simd, from - column as f32, to - column as f32);
                     read += 1;
-                    detail.limits(&mut limits, column, top);
-                    if self.tiles.open(simd, tile_x, tile_y, mask, &limits[..1 + detail.plane_count]) {
+                    detail.limits(limits, column, top);
+                    if self.tiles.open(simd, tile_x, tile_y, mask, limits) {
                         seen = true;
                         break 'rows;
                     }

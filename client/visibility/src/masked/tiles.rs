@@ -21,6 +21,9 @@ use super::pixels::{self, Pixels};
 /// Tiles of a block: lanes.
 pub(super) const BLOCK: usize = 8;
 
+/// Blocks that can be asked about at once: a bit a tile.
+pub(super) const BLOCKS_ASKED: usize = 64 / BLOCK;
+
 /// The references of eight tiles. In force where their least depth is above 0.
 #[derive(Clone, Copy, Debug, Default)]
 struct Block {
@@ -142,29 +145,46 @@ impl Tiles {
         self.detailed
     }
 
-    /// The tiles of a block, by bits, that their references do not hide as a whole: nothing is known about them yet. `limits` are
-    /// those of [`Tiles::open`], in the block's first tile.
+    /// The tiles of up to [`BLOCKS_ASKED`] blocks of a row, by bits, that their references do not hide as a whole: nothing is
+    /// known about them yet. `limits` are those of [`Tiles::open`], in the first tile of the first block.
     #[inline(always)]
-    pub(super) fn undecided<S: Simd>(&self, simd: S, block_x: usize, tile_y: usize, limits: &[Plane]) -> u64 {
-        let index = tile_y * self.blocks_x + block_x;
+    pub(super) fn undecided<S: Simd>(
+        &self,
+        simd: S,
+        first_block: usize,
+        blocks: usize,
+        tile_y: usize,
+        limits: &[Plane],
+    ) -> u64 {
+        let index = tile_y * self.blocks_x + first_block;
+        let row = &self.blocks[index..index + blocks];
+        let row_least = &self.least[index..index + blocks];
         let zero = splat(simd, 0.0);
-        let block = &self.blocks[index];
-        let at = f32x8::from_slice(simd, &block.at);
-        let dx = f32x8::from_slice(simd, &block.dx) * LAST_X;
-        let dy = f32x8::from_slice(simd, &block.dy) * LAST_Y;
-        let size = simd.abs_f32x8(at) + simd.abs_f32x8(dx) + simd.abs_f32x8(dy);
-        let mut best = splat(simd, f32::NEG_INFINITY);
-        for limit in limits {
-            let step = limit.dx * TILE_X as f32;
-            let limit_at = ramp(simd) * step + limit.at;
-            // Over the whole block, so that stepping along it is bounded too.
-            let limit_size = limit.at.abs() + BLOCK as f32 * step.abs() + (limit.dy * LAST_Y).abs();
-            let (over_x, over_y) = (dx - limit.dx * LAST_X, dy - limit.dy * LAST_Y);
-            let worst = at - limit_at + simd.min_f32x8(over_x, zero) + simd.min_f32x8(over_y, zero);
-            best = simd.max_f32x8(best, worst - (size + limit_size) * ROUNDING);
+        let mut undecided = 0;
+        for (i, (block, least)) in row.iter().zip(row_least).enumerate() {
+            let at = f32x8::from_slice(simd, &block.at);
+            let dx = f32x8::from_slice(simd, &block.dx) * LAST_X;
+            let dy = f32x8::from_slice(simd, &block.dy) * LAST_Y;
+            let size = (simd.abs_f32x8(at) + simd.abs_f32x8(dx) + simd.abs_f32x8(dy)) * ROUNDING;
+            let columns = ramp(simd) + (i * BLOCK) as f32;
+            let mut open = 0xff_u64;
+            // The last limits are planes, which decide more than the first, the nearest depth.
+            for limit in limits.iter().rev() {
+                let step = limit.dx * TILE_X as f32;
+                // Over all that is asked, so that stepping along it is bounded too.
+                let reach = limit.at.abs() + (blocks * BLOCK) as f32 * step.abs() + (limit.dy * LAST_Y).abs();
+                let over_x = simd.min_f32x8(dx - limit.dx * LAST_X, zero);
+                let over_y = simd.min_f32x8(dy - limit.dy * LAST_Y, zero);
+                let over = at - (columns * step + limit.at) + over_x + over_y;
+                open &= !over.simd_gt(size + reach * ROUNDING).to_bitmask();
+                if open == 0 {
+                    break;
+                }
+            }
+            open |= !f32x8::from_slice(simd, least).simd_gt(zero).to_bitmask() & 0xff;
+            undecided |= open << (i * BLOCK);
         }
-        let closed = best.simd_gt(zero) & f32x8::from_slice(simd, &self.least[index]).simd_gt(zero);
-        !closed.to_bitmask() & 0xff
+        undecided
     }
 
     /// The least depth of all references; infinite for an image without pixels.
