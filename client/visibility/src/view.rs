@@ -72,8 +72,9 @@ impl View {
         if !eye.is_finite() {
             return Err(ViewError::Eye(eye));
         }
-        // NaN fails each of these.
-        if !((orientation.length_squared() - 1.0).abs() <= UNIT_SLACK) {
+        // Each says what must hold, so that NaN is refused.
+        let is_unit = (orientation.length_squared() - 1.0).abs() <= UNIT_SLACK;
+        if !is_unit {
             return Err(ViewError::Orientation(orientation));
         }
         if !(fov_x > 0.0 && fov_x < std::f64::consts::PI) {

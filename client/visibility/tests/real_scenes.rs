@@ -46,7 +46,7 @@ fn anywhere(rng: &mut Pcg64, aabb: &Aabb) -> DVec3 {
 fn views(rng: &mut Pcg64, scene: &Scene, standing: &[DVec3], count: usize, resolution: Resolution) -> Vec<View> {
     let bounds = scene.bounds();
     let view = |i: usize| {
-        if i % 2 == 0 {
+        if i.is_multiple_of(2) {
             let eye = if standing.is_empty() {
                 let middle = bounds.centre();
                 DVec3 { y: bounds.min.y + 1.44, ..anywhere(rng, &bounds).lerp(middle, 0.5) }
