@@ -478,7 +478,10 @@ impl Target for UnderOcclusion {
 
     /// Rays decide here, and no ray passes a sealed face but where a camera's near plane cuts it open.
     fn believes(&self, seal: &SealedFace<'_>) -> bool {
-        seal.rectangle.distance(self.image.eye) - self.image.radius >= OCCLUDER_NEAR * self.image.near
+        let image = &self.image;
+        // A near plane cuts by the distance along the axis, which `reach` makes one along the ray; see `OCCLUDER_NEAR`.
+        let reach = if image.aligned { 1.0 } else { image.faces[0].reach };
+        seal.rectangle.distance(image.eye) - image.radius >= OCCLUDER_NEAR * image.near * reach
     }
 
     /// Never: what is closed may still be closed by something nearer. See [`UnderOcclusion::is_closed`].

@@ -87,21 +87,28 @@ pub(super) fn least<S: Simd>(simd: S, pixels: &Pixels) -> f32 {
 #[inline(always)]
 pub(super) fn any_open<S: Simd>(simd: S, pixels: &Pixels, asked: u32x8<S>, limits: &[Plane]) -> bool {
     let rows: [u32; TILE_Y] = asked.into();
-    let (bits, ramp) = (lane_bits(simd), ramp(simd));
+    let bits = lane_bits(simd);
     let zero = u32x8::splat(simd, 0);
-    for (j, (row, pixels)) in rows.into_iter().zip(pixels.chunks_exact(TILE_X)).enumerate() {
-        if row == 0 {
+    let mut starts = [[splat(simd, 0.0); PARTS]; LIMITS_MAX];
+    let limits = &limits[..limits.len().min(LIMITS_MAX)];
+    let mut used = 0;
+    for row in rows {
+        used |= row;
+    }
+    for (start, limit) in starts.iter_mut().zip(limits) {
+        *start = first_row(simd, &Plane { at: limit.at + limit.rounding(), ..*limit });
+    }
+    for part in 0..PARTS {
+        // Small things are in one or two of them.
+        if used >> (part * LANES) & 0xff == 0 {
             continue;
         }
-        let asked = u32x8::splat(simd, row);
-        for part in 0..PARTS {
-            let inside = asked & bits[part];
-            let pixels = f32x8::from_slice(simd, &pixels[part * LANES..][..LANES]);
+        for j in 0..TILE_Y {
+            let inside = u32x8::splat(simd, rows[j]) & bits[part];
+            let pixels = f32x8::from_slice(simd, &pixels[j * TILE_X + part * LANES..][..LANES]);
             let mut open = !inside.simd_eq(zero);
-            for limit in limits {
-                let at = limit.at + limit.rounding() + limit.dy * j as f32;
-                let z = (ramp + (part * LANES) as f32) * limit.dx + at;
-                open &= pixels.simd_le(z);
+            for (start, limit) in starts.iter().zip(limits) {
+                open &= pixels.simd_le(start[part] + limit.dy * j as f32);
             }
             if open.any_true() {
                 return true;
@@ -110,3 +117,6 @@ pub(super) fn any_open<S: Simd>(simd: S, pixels: &Pixels, asked: u32x8<S>, limit
     }
     false
 }
+
+/// A nearest depth and three planes.
+pub(super) const LIMITS_MAX: usize = 4;

@@ -83,15 +83,11 @@ pub fn odd_cullers(scene: &Arc<Scene>) -> Vec<Named> {
     cullers
 }
 
-/// Whether a culler answers for the picture of a view. All do but [`RegionCuller`], for two kinds of views:
-/// - it speaks of true triangles. From farther than this, depths in f32 tie over more than the thickness of a wall, and what
-///   wins a tie in the picture is hidden in truth;
-/// - where the image's corner is more than 60° off its middle, its target believes seals that the near plane cuts open
-///   (`UnderOcclusion::believes` compares a distance with a depth). A known fault: to be asked again once that is mended.
+/// Whether a culler answers for the picture of a view. All do but [`RegionCuller`], which speaks of true triangles: from
+/// farther than this, depths in f32 tie over more than the thickness of a wall, and what wins a tie in the picture is hidden in
+/// truth.
 fn answers_for(name: &str, view: &View) -> bool {
-    let half = (view.fov_x * 0.5).tan();
-    let diagonal = half.hypot(half * f64::from(view.resolution.height) / f64::from(view.resolution.width.max(1)));
-    name != FROM_A_REGION || (view.eye.length() < 1e6 && diagonal <= 3.0_f64.sqrt())
+    name != FROM_A_REGION || view.eye.length() < 1e6
 }
 
 /// The name of the [`RegionCuller`].
