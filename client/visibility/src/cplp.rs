@@ -45,6 +45,9 @@ pub struct Traversal {
     pub cells_projected: usize,
     /// Times that a whole front was queried, as the paper counts: what a batched back end would wait for.
     pub rounds: usize,
+    /// Images that queries drew, where a back end draws them: several a round for the item buffer, one for the per-fragment
+    /// histogram.
+    pub passes: usize,
     /// Cells asked about.
     pub queries: usize,
     /// Sealed faces that were believed, so that they did not lead on.

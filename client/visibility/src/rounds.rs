@@ -139,6 +139,7 @@ impl Cplp {
                 }
             }
         });
+        rounds.traversal.passes = rounds.queries.passes;
         rounds.z_tests = back_end.z_tests();
         rounds
     }

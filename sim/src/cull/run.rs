@@ -283,6 +283,7 @@ struct Tally {
     objects_rectangle: Option<u64>,
     rounds: u64,
     rounds_max: usize,
+    passes: u64,
     cells: u64,
     queries: u64,
     plp: u64,
@@ -313,6 +314,7 @@ impl Tally {
         self.kept += culled.visible.len() as u64;
         self.rounds += culled.traversal.rounds as u64;
         self.rounds_max = self.rounds_max.max(culled.traversal.rounds);
+        self.passes += culled.traversal.passes as u64;
         self.cells += culled.traversal.cells_projected as u64;
         self.queries += culled.traversal.queries as u64;
         self.plp += culled.traversal.plp_triangles as u64;
@@ -382,6 +384,7 @@ impl Tally {
             objects_lost: self.objects_lost,
             rounds: mean(self.rounds),
             rounds_max: self.rounds_max,
+            passes: mean(self.passes),
             cells: mean(self.cells),
             queries: mean(self.queries),
             bounds: mean(self.bounds),
