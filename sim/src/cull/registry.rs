@@ -7,9 +7,9 @@
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, Budget, Cplp, CplpCuller, CplpQueryCuller, Culled, Culler, EyeRegion, FrustumBackface, HierarchicalZ,
-    KdRules, KdTree, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules, QueryBackEnd, QueryFrontToBack, QueryKind,
-    RegionCuller, Scene, Scratch, Tessellation, View, ZBuffer,
+    Aabb, Budget, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, DepthBuffer, EyeRegion,
+    FrustumBackface, HierarchicalZ, KdRules, KdTree, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules,
+    QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, View, ZBuffer,
 };
 
 use super::picture::Layer;
@@ -69,6 +69,8 @@ struct WithFront<C> {
     inner: WithScratch<C>,
     scene: Arc<Scene>,
     cplp: Arc<Cplp>,
+    budget: Budget,
+    query: QueryKind,
 }
 
 impl<C: Culler> Candidate for WithFront<C> {
@@ -85,24 +87,37 @@ impl<C: Culler> Candidate for WithFront<C> {
     }
 
     fn layers(&mut self, view: &View) -> Vec<Layer> {
-        self.inner.scratch.cplp_mut().record_fronts(true);
-        let culled = self.inner.cull(view, EyeRegion::point(view.eye));
-        self.inner.scratch.cplp_mut().record_fronts(false);
-        // What the paper's figure 10 shows: the cells that PLP left to be asked about, where they are not hidden by what the
-        // culler found in the end.
-        let front: Vec<Aabb> = (self.inner.scratch.cplp().fronts().next().unwrap_or_default().iter())
-            .map(|&cell| *self.cplp.tessellation().cell(cell))
-            .collect();
-        let mut layers = vec![Layer::of_boxes("front after PLP", &self.scene, &culled.visible, &front, view)];
-        if let Some(query) = self.inner.scratch.query() {
-            let tiles = query.finished_tiles();
-            if !tiles.is_empty() {
-                layers.push(Layer::of_tiles("finished tiles", &tiles, view.resolution));
+        // The paper's figure 10: what each of the first rounds asks about, past what was drawn before it, and which tiles are
+        // finished then.
+        let mut layers = Vec::new();
+        let mut query = self.query.back_end();
+        let mut drawn: Vec<u32> = {
+            let mut depth = DepthBuffer::new(view);
+            let (mut scratch, eye) = (CplpScratch::default(), EyeRegion::point(view.eye));
+            self.cplp.traverse_plp(&self.scene, eye, self.budget, &mut depth.target(&self.scene), &mut scratch);
+            scratch.visible().to_vec()
+        };
+        let cells = self.cplp.tessellation().clone();
+        let watch = |round: Round<'_>, query: &CpuQuery| {
+            if let Some(name) = FRONTS.get(round.number - 1) {
+                let boxes: Vec<Aabb> = round.cells.iter().map(|&cell| *cells.cell(cell)).collect();
+                layers.push(Layer::of_boxes(name, &self.scene, &drawn, &boxes, view));
+                let tiles = query.finished_tiles();
+                if !tiles.is_empty() {
+                    layers.push(Layer::of_tiles(FINISHED[round.number - 1], &tiles, view.resolution));
+                }
             }
-        }
+            let seen = round.cells.iter().zip(round.seen).filter(|(_, seen)| **seen);
+            drawn.extend(seen.flat_map(|(&cell, _)| cells.primitives(cell)));
+        };
+        self.cplp.watch_rounds(&self.scene, view, self.budget, &mut query, &mut CplpScratch::default(), watch);
         layers
     }
 }
+
+/// Names of the pictures of the first rounds.
+const FRONTS: [&str; 2] = ["front, round 1", "front, round 2"];
+const FINISHED: [&str; 2] = ["finished tiles, round 1", "finished tiles, round 2"];
 
 /// What was chosen for a culler. `None` where it has no choice.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -295,11 +310,12 @@ impl Registry {
                     match QueryKind::ALL.into_iter().find(|kind| Some(kind.name()) == setting.query) {
                         Some(kind) => {
                             let culler = CplpQueryCuller::new(scene.clone(), cplp.clone(), budget, kind);
-                            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp })
+                            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp, budget, query: kind })
                         }
                         None => {
                             let culler = CplpCuller::new(scene.clone(), cplp.clone(), budget);
-                            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp })
+                            let query = QueryKind::PerFragmentHistogram;
+                            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp, budget, query })
                         }
                     }
                 },
