@@ -150,6 +150,9 @@ pub struct Entry {
     pub about: &'static str,
     /// Whether it promises to lose nothing, so that a wrong pixel fails the run.
     pub conservative: bool,
+    /// Whether that promise is about rays and no picture of one size. A rasteriser that snaps corners opens cracks where walls
+    /// meet without sharing corners; what shows in one and no ray meets is told apart, and does not fail the run.
+    pub by_rays: bool,
     /// Tessellations that it can use, best first; empty if it has none.
     pub tessellations: &'static [&'static str],
     /// Query back ends that it can use, best first; empty if it has none.
@@ -264,6 +267,7 @@ impl Registry {
                 name: "zbuffer",
                 about: "everything, the baseline ZB",
                 conservative: true,
+                by_rays: false,
                 tessellations: &[],
                 queries: &[],
                 budgets: false,
@@ -273,6 +277,7 @@ impl Registry {
                 name: "frustum-backface",
                 about: "what is in view and not turned away, the baseline VF-BF",
                 conservative: true,
+                by_rays: false,
                 tessellations: &[],
                 queries: &[],
                 budgets: false,
@@ -282,6 +287,7 @@ impl Registry {
                 name: "masked",
                 about: "conservative PLP against coverage masks: faces of cells are asked about, then objects and clusters",
                 conservative: true,
+                by_rays: false,
                 tessellations: &[KD_TREE, OCTREE],
                 queries: &["masks"],
                 budgets: false,
@@ -294,6 +300,7 @@ impl Registry {
                 name: "cplp",
                 about: "conservative PLP: cells of a tessellation from the eye outward, queried against what was drawn",
                 conservative: true,
+                by_rays: false,
                 tessellations: &[OCTREE, KD_TREE],
                 queries: &[
                     "sampled",
@@ -324,6 +331,7 @@ impl Registry {
                 name: "query-front-to-back",
                 about: "cells in view by distance, one query each: the paper's HP baseline",
                 conservative: true,
+                by_rays: false,
                 tessellations: &[OCTREE, KD_TREE],
                 queries: &["sampled"],
                 budgets: false,
@@ -336,6 +344,7 @@ impl Registry {
                 name: "hierarchical-z",
                 about: "an octree against a pyramid of farthest depths (Greene)",
                 conservative: true,
+                by_rays: false,
                 tessellations: &[OCTREE],
                 queries: &["pyramid"],
                 budgets: false,
@@ -348,6 +357,7 @@ impl Registry {
                 name: "region",
                 about: "for every eye of a ball and every resolution: under-estimating coverage with supporting planes",
                 conservative: true,
+                by_rays: true,
                 tessellations: &[OCTREE, KD_TREE],
                 queries: &["under"],
                 budgets: false,

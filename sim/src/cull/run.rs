@@ -7,11 +7,13 @@
 // This is a driver: it may read the clock.
 #![expect(clippy::disallowed_methods)]
 
+use std::cell::OnceCell;
 use std::hint::black_box;
 use std::time::Instant;
 
 use eyeline_visibility::{
-    Bound, Culled, DepthBuffer, DynamicIndex, DynamicOctree, EyeRegion, ItemBuffer, Occlusion, Resolution, Target, View,
+    Bound, Culled, DepthBuffer, DynamicIndex, DynamicOctree, EyeRegion, ItemBuffer, Occlusion, RayScene, Resolution,
+    Target, View, image_ray,
 };
 use glam::DVec3;
 use rand::RngExt;
@@ -20,7 +22,7 @@ use super::fragments::Fragments;
 use super::max_pass::MaxPass;
 use super::path::CameraPath;
 use super::picture::Picture;
-use super::registry::{Candidate, Registry, Setting, Shop};
+use super::registry::{Candidate, Entry, Registry, Setting, Shop};
 use super::row::CullRow;
 use super::world::World;
 use crate::chance;
@@ -73,13 +75,14 @@ pub fn run(
     mut each_view: impl FnMut(),
 ) -> Outcome {
     let mut shop = Shop::new(world.scene.clone());
-    let mut made: Vec<(&Setting, bool, f64, Box<dyn Candidate>)> = Vec::new();
+    let mut made: Vec<(&Setting, &Entry, f64, Box<dyn Candidate>)> = Vec::new();
     for setting in &config.settings {
         let Some(entry) = registry.entry(setting.culler) else { continue };
         let began = Instant::now();
         let candidate = (entry.make)(&mut shop, setting);
-        made.push((setting, entry.conservative, millis(began), candidate));
+        made.push((setting, entry, millis(began), candidate));
     }
+    let rays = OnceCell::new();
     let mut outcome = Outcome { rows: Vec::new(), pictures: Vec::new() };
     for &resolution in &config.resolutions {
         let mut max_pass = MaxPass::new(resolution);
@@ -88,8 +91,8 @@ pub fn run(
             let views = path.views(world.scene.anchor(), resolution);
             for (number, view) in views.iter().enumerate() {
                 let truth = Truth::new(world, view, radius, config, number as u64);
-                for ((.., candidate), tally) in made.iter_mut().zip(&mut tallies) {
-                    let try_ = Try { world, view, radius, truth: &truth };
+                for ((_, entry, _, candidate), tally) in made.iter_mut().zip(&mut tallies) {
+                    let try_ = Try { world, view, radius, truth: &truth, rays: entry.by_rays.then_some(&rays) };
                     try_.one(number, candidate.as_mut(), tally);
                 }
                 for _ in 0..config.repeats {
@@ -101,7 +104,7 @@ pub fn run(
                 each_view();
             }
             let first = outcome.rows.is_empty();
-            for ((setting, conservative, build_ms, candidate), tally) in made.iter_mut().zip(tallies) {
+            for ((setting, entry, build_ms, candidate), tally) in made.iter_mut().zip(tallies) {
                 if first {
                     let number = tally.worst.map_or(0, |(_, view)| view);
                     if let Some(view) = views.get(number) {
@@ -111,7 +114,7 @@ pub fn run(
                         outcome.pictures.extend(pictures.into_iter().map(named));
                     }
                 }
-                let about = About { world, setting, conservative: *conservative, build_ms: *build_ms, config };
+                let about = About { world, setting, conservative: entry.conservative, build_ms: *build_ms, config };
                 outcome.rows.push(tally.row(&about, resolution, radius));
             }
             if let Some(view) = views.first().filter(|_| first) {
@@ -149,6 +152,7 @@ fn draw_objects(world: &World, items: &mut ItemBuffer, objects: impl IntoIterato
 struct Truth {
     /// The middle's picture, then those of the other eyes.
     items: Vec<ItemBuffer>,
+    eyes: Vec<DVec3>,
     /// Primitives and objects that own a pixel in any of them, ascending.
     winners: Vec<u32>,
     /// Objects that a screen rectangle against everything drawn keeps; `None` for a ball, where it is no bound.
@@ -158,13 +162,15 @@ struct Truth {
 impl Truth {
     fn new(world: &World, view: &View, radius: f64, config: &CullConfig, number: u64) -> Truth {
         let mut chance = chance(config.seed ^ 0xE7E, number);
-        let mut items = vec![exact_items(world, view)];
+        let (mut items, mut eyes) = (vec![exact_items(world, view)], vec![view.eye]);
         let mut winners = items[0].winners();
         if radius > 0.0 {
             while items.len() < config.eyes.max(1) {
                 let offset = DVec3::from_array(std::array::from_fn(|_| chance.random_range(-1.0..=1.0)));
                 if offset.length() <= 1.0 {
-                    let other = exact_items(world, &View { eye: view.eye + offset * radius, ..*view });
+                    let eye = view.eye + offset * radius;
+                    let other = exact_items(world, &View { eye, ..*view });
+                    eyes.push(eye);
                     winners.extend(other.winners());
                     items.push(other);
                 }
@@ -178,9 +184,12 @@ impl Truth {
             depth.target(&world.scene).draw(&everything);
             world.object_boxes.iter().filter(|aabb| !depth.hides(&Bound::Box(**aabb))).count() as u64
         });
-        Truth { items, winners, rectangle }
+        Truth { items, eyes, winners, rectangle }
     }
 }
+
+/// The rasteriser moves corners by half of this at most, along each axis.
+const SNAP_PX: f64 = 1.0 / 256.0;
 
 /// One culler on one view.
 struct Try<'a> {
@@ -188,11 +197,38 @@ struct Try<'a> {
     view: &'a View,
     radius: f64,
     truth: &'a Truth,
+    /// For a culler that promises rays; made when first needed.
+    rays: Option<&'a OnceCell<RayScene>>,
 }
 
 impl Try<'_> {
+    /// Whether a primitive owns pixels only where no ray through them, or just beside their centres, meets it first.
+    fn shows_in_cracks_only(&self, id: u32) -> bool {
+        let Some(rays) = self.rays else { return false };
+        if id as usize >= self.world.scene.triangles().len() {
+            return false;
+        }
+        let rays = rays.get_or_init(|| RayScene::new(&self.world.scene));
+        let width = self.view.resolution.width as usize;
+        let mut hits = Vec::new();
+        for (items, &eye) in self.truth.items.iter().zip(&self.truth.eyes) {
+            for (pixel, _) in items.ids().iter().enumerate().filter(|(_, winner)| **winner == id) {
+                let (x, y) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+                for (right, down) in [(0.0, 0.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
+                    let ray = image_ray(self.view, x + right * SNAP_PX, y + down * SNAP_PX);
+                    hits.clear();
+                    rays.near_hits(eye, ray, self.view.near, f64::INFINITY, 1e-5, &mut hits);
+                    if hits.iter().any(|hit| hit.primitive == id) {
+                        return false;
+                    }
+                }
+            }
+        }
+        true
+    }
+
     fn one(&self, number: usize, candidate: &mut dyn Candidate, tally: &mut Tally) {
-        let Try { world, view, radius, truth } = *self;
+        let Try { world, view, radius, truth, .. } = *self;
         let static_count = world.scene.triangles().len() as u32;
         if tally.index.is_none() && !world.object_boxes.is_empty() {
             tally.index = Some(index_of(world));
@@ -216,7 +252,11 @@ impl Try<'_> {
             None => culled.visible.binary_search(&id).is_err(),
             Some(object) => exposed.binary_search(&object).is_err(),
         };
-        let lost: Vec<u32> = truth.winners.iter().copied().filter(|&id| is_lost(id)).collect();
+        let mut lost: Vec<u32> = truth.winners.iter().copied().filter(|&id| is_lost(id)).collect();
+        let cracks: Vec<u32> = lost.iter().copied().filter(|&id| self.shows_in_cracks_only(id)).collect();
+        lost.retain(|id| !cracks.contains(id));
+        wrong -= truth.items[0].ids().iter().filter(|id| cracks.contains(id)).count() as u64;
+        tally.cracks += cracks.len() as u64;
         if !lost.is_empty() {
             // From the other eyes of a ball a pixel is wrong if its winner was lost: drawing less changes no other winner.
             for other in &truth.items[1..] {
@@ -275,6 +315,7 @@ struct Tally {
     worst: Option<(u64, usize)>,
     lost: u64,
     objects_lost: u64,
+    cracks: u64,
     winners: u64,
     exact: u64,
     kept: u64,
@@ -374,6 +415,7 @@ impl Tally {
             wrong_pixels_max: self.wrong_max,
             wrong_pixels_mean: mean(self.wrong),
             lost_visible: self.lost,
+            cracks: self.cracks,
             visible_found: if self.winners == 0 { 1.0 } else { 1.0 - self.lost as f64 / self.winners as f64 },
             kept: mean(self.kept),
             exact: mean(self.exact),
