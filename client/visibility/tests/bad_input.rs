@@ -9,8 +9,8 @@ use std::sync::Arc;
 use every::{check, cullers};
 use eyeline_visibility::{
     Aabb, Bound, Budget, Coverage, Cplp, CplpScratch, DepthBuffer, EyeRegion, Face, ItemBuffer, MaskedCplp,
-    MaskedCplpScratch, MaskedDepth, Occlusion, QueryBackEnd, QueryKind, Resolution, Scene, SceneError, Scratch, SealedFace, Sides,
-    Triangle, View, ViewError, exact_set,
+    MaskedCplpScratch, MaskedDepth, Occlusion, QueryBackEnd, QueryKind, Resolution, Scene, SceneError, Scratch,
+    SealedFace, Sides, Triangle, View, ViewError, exact_set,
 };
 use glam::{DQuat, DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
