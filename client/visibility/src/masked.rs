@@ -194,7 +194,7 @@ impl MaskedDepth {
     /// argument. It needs [`Coverage::Sampled`], and that the primitives of the face's cell have been drawn, each as it is:
     /// merged polygons snap to other places along their edges.
     pub fn believes(&self, seal: &SealedFace<'_>) -> bool {
-        let Some(projector) = &self.projector else { return true };
+        let Some(projector) = &self.projector else { return !self.blind };
         let depth_at = |x: usize, y: usize| self.tiles.depth_at(x as u32, y as u32);
         self.coverage == Coverage::Sampled && holds(projector, seal, depth_at)
     }

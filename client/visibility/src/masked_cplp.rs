@@ -130,9 +130,13 @@ impl MaskedCplp {
         &self.scene
     }
 
-    /// Finds what can be seen in a view, and leaves it in `scratch`.
+    /// Finds what can be seen in a view, and leaves it in `scratch`: everything for a view that [`View::check`] refuses.
     pub fn walk(&self, view: &View, scratch: &mut MaskedCplpScratch) -> Traversal {
         scratch.begin(self, view);
+        if view.check().is_err() {
+            scratch.visible.ids.extend(0..self.scene.triangles().len() as u32);
+            return Traversal { triangles_drawn: scratch.visible.ids.len(), ..Traversal::default() };
+        }
         let mut walk = Walk {
             of: self,
             cells: self.tessellation.cells(),

@@ -29,8 +29,7 @@ pub(crate) enum Part {
 
 impl Pyramid {
     pub(crate) fn new(view: &View) -> Pyramid {
-        let axis = |axis: DVec3| view.orientation * axis;
-        let (right, up, forward) = (axis(DVec3::X), axis(DVec3::Y), axis(DVec3::NEG_Z));
+        let [right, up, forward] = view.axes();
         let focal = view.focal_px();
         let [x, y] = [view.resolution.width, view.resolution.height].map(|size| (f64::from(size) * 0.5 + 1.0) / focal);
         let sides = [forward * x - right, forward * x + right, forward * y - up, forward * y + up];

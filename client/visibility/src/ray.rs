@@ -65,7 +65,7 @@ pub fn image_ray(view: &View, x: f64, y: f64) -> DVec3 {
     let focal_px = view.focal_px();
     let right = (x - 0.5 * f64::from(view.resolution.width)) / focal_px;
     let up = (0.5 * f64::from(view.resolution.height) - y) / focal_px;
-    view.orientation * DVec3::new(right, up, -1.0)
+    view.orientation.normalize() * DVec3::new(right, up, -1.0)
 }
 
 impl RayScene {

@@ -8,13 +8,13 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use crate::culler::everything;
 use crate::{
     Bound, Budget, Cplp, Culled, Culler, EyeRegion, Occluders, Occlusion, OctreeRules, Resolution, Scene, Scratch,
     Sides, Triangle, View,
 };
 
-/// Conservative PLP for every eye of a ball and every resolution. A region that is no ball, or a view without an angle,
-/// gets everything.
+/// Conservative PLP for every eye of a ball and every resolution. A region that is no ball gets everything.
 #[derive(Clone, Debug)]
 pub struct RegionCuller {
     scene: Arc<Scene>,
@@ -48,14 +48,12 @@ impl RegionCuller {
     }
 
     /// The view as this culler draws it: from the region's centre, at least as wide and high, in its own resolution.
+    /// None for a view that [`View::check`] refuses.
     fn image(&self, view: &View, region: EyeRegion) -> Option<View> {
+        view.check().ok()?;
         let Resolution { width, height } = view.resolution;
         let x = (view.fov_x * 0.5).tan();
         let y = x * f64::from(height.max(1)) / f64::from(width.max(1));
-        let ok = x > 0.0 && x.is_finite() && view.near > 0.0 && view.near.is_finite() && view.orientation.is_finite();
-        if !ok {
-            return None;
-        }
         let (x, y) = (x.max(y / ASPECT_MAX), y.max(x / ASPECT_MAX));
         let columns = (f64::from(self.pixels) * x / y).sqrt().ceil();
         let resolution = Resolution::new(columns as u32, (columns * y / x).ceil() as u32);
@@ -66,15 +64,14 @@ impl RegionCuller {
 
 impl Culler for RegionCuller {
     fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
-        let all = || Culled { visible: (0..self.scene.triangles().len() as u32).collect(), ..Culled::default() };
         let Some(image) = self.image(view, region) else {
             scratch.forget();
-            return all();
+            return everything(&self.scene);
         };
         let (under, cplp) = scratch.under(&self.occluders, &image);
         if under.start(region).is_err() {
             scratch.forget();
-            return all();
+            return everything(&self.scene);
         }
         let traversal = self.cplp.traverse(&self.scene, region, Budget { triangles: 0 }, under, cplp);
         let triangles = self.scene.triangles();

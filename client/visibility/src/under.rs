@@ -138,7 +138,7 @@ impl UnderOcclusion {
 
     /// One view: what lies outside it counts as hidden.
     pub fn single(occluders: Arc<Occluders>, view: &View) -> UnderOcclusion {
-        let axes = [DVec3::X, DVec3::Y, DVec3::NEG_Z].map(|axis| view.orientation * axis);
+        let axes = view.axes();
         let face = Face::new(axes, view.focal_px(), view.resolution.width as usize, view.resolution.height as usize);
         let mut occlusion = UnderOcclusion::new(occluders, vec![face], view.near, false);
         occlusion.image.eye = view.eye;
@@ -152,7 +152,7 @@ impl UnderOcclusion {
         if !same || self.image.aligned || !Arc::ptr_eq(occluders, &self.occluders) {
             return None;
         }
-        [face.right, face.up, face.forward] = [DVec3::X, DVec3::Y, DVec3::NEG_Z].map(|axis| view.orientation * axis);
+        [face.right, face.up, face.forward] = view.axes();
         let focal = view.focal_px();
         self.image.focal = focal;
         self.image.half = [face.centre_x() / focal, face.centre_y() / focal];

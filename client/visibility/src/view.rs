@@ -97,6 +97,15 @@ impl View {
         }
     }
 
+    /// Axes of view space in the scene, of unit length: right, up, forward.
+    ///
+    /// [`View::check`] lets an orientation be of unit length to a few digits only. Its axes would be longer or shorter by as
+    /// much, and depths that are found by distance and those found by a plane's normal would part by twice that.
+    pub(crate) fn axes(&self) -> [DVec3; 3] {
+        let orientation = self.orientation.normalize();
+        [DVec3::X, DVec3::Y, DVec3::NEG_Z].map(|axis| orientation * axis)
+    }
+
     /// Pixels per unit of tangent: half the width over tan(fov_x / 2).
     pub fn focal_px(&self) -> f64 {
         f64::from(self.resolution.width) * 0.5 / (self.fov_x * 0.5).tan()

@@ -8,9 +8,9 @@ use std::sync::Arc;
 
 use every::{check, cullers};
 use eyeline_visibility::{
-    Aabb, Bound, Budget, Coverage, Cplp, CplpScratch, DepthBuffer, EyeRegion, ItemBuffer, MaskedCplp,
-    MaskedCplpScratch, MaskedDepth, Occlusion, QueryBackEnd, QueryKind, Resolution, Scene, SceneError, Scratch, Sides,
-    Triangle, View, ViewError, exact_set,
+    Aabb, Bound, Budget, Coverage, Cplp, CplpScratch, DepthBuffer, EyeRegion, Face, ItemBuffer, MaskedCplp,
+    MaskedCplpScratch, MaskedDepth, Occlusion, QueryBackEnd, QueryKind, Resolution, Scene, SceneError, Scratch,
+    SealedFace, Sides, Triangle, View, ViewError, exact_set,
 };
 use glam::{DQuat, DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
@@ -80,9 +80,6 @@ fn a_view_that_is_none_gets_everything_and_hides_nothing() {
             culler.cull(&good(), EyeRegion::point(good().eye), &mut scratch);
             assert!(name == "ZB" || scratch.occlusion().hides(&far), "{name}");
             for region in [EyeRegion::point(view.eye), EyeRegion::point(good().eye)] {
-                if name == every::FROM_A_REGION && region.centre.is_finite() {
-                    continue;
-                }
                 let culled = culler.cull(&view, region, &mut scratch);
                 assert_eq!(culled.visible, all, "{name} from {view:?}");
                 assert!(!scratch.occlusion().hides(&far), "{name} from {view:?}");
@@ -113,6 +110,8 @@ fn images_of_a_view_that_is_none_hide_nothing() {
             masks.draw_polygon_f32(&scene.triangles()[0].corners, Sides::Both);
             assert!(masks.sees_box(&aabb) && masks.in_view(&aabb) && masks.sees_ball(DVec3::ZERO, 1.0));
             assert!(!masks.is_closed_before(1.0) && masks.farthest() == 0.0);
+            let rectangle = Aabb::new(DVec3::new(0.0, 0.0, 1.0), DVec3::ONE);
+            assert!(!masks.believes(&SealedFace { rectangle, face: Face::ALL[5], cracks: &[], skin: 0.01 }));
         }
         for kind in QueryKind::ALL {
             let mut back_end = kind.back_end();
@@ -124,7 +123,34 @@ fn images_of_a_view_that_is_none_hide_nothing() {
             let mut scratch = CplpScratch::default();
             cplp.traverse_rounds(&scene, &view, Budget::default(), &mut back_end, &mut scratch);
         }
-        walker.walk(&view, &mut MaskedCplpScratch::default());
+        let mut scratch = MaskedCplpScratch::default();
+        walker.walk(&view, &mut scratch);
+        assert_eq!(scratch.visible().len(), scene.triangles().len(), "{view:?}");
+    }
+}
+
+/// A plate 5 mm before a wall: depths that are wrong by as much as the orientation's length would put it behind.
+#[test]
+fn an_orientation_of_almost_unit_length_loses_nothing() {
+    let square = |half: f32, z: f32| {
+        let corner = |x: f32, y: f32| [x * half, y * half, z];
+        let [a, b, c, d] = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
+        [triangle([a, b, c]), triangle([a, c, d])]
+    };
+    let (wall, plate) = (square(30.0, -10.0), square(0.5, -9.995));
+    let scene = Arc::new(Scene::from_triangles([wall, plate].concat()));
+    let cullers = every::all(&scene);
+    for length_squared in [0.9991_f64, 1.0, 1.0009] {
+        let orientation = DQuat::from_rotation_y(0.1) * length_squared.sqrt();
+        let view = View { orientation, ..View::level(DVec3::ZERO, 0.0, 1.4, Resolution::new(64, 48)) };
+        assert_eq!(view.check(), Ok(()));
+        let checked = check(&scene, &cullers, [view], &mut Scratch::default());
+        assert_eq!(checked.exact, 4);
+        let mut masks = MaskedDepth::new(Coverage::Sampled);
+        masks.begin(&view);
+        wall.iter().for_each(|triangle| masks.draw_polygon_f32(&triangle.corners, triangle.sides));
+        assert!(masks.sees_box(&plate[0].aabb()), "{length_squared}");
+        assert!(!masks.sees_box(&Aabb::around(DVec3::new(0.0, 0.0, -10.01), DVec3::new(0.5, 0.5, 5e-3))));
     }
 }
 

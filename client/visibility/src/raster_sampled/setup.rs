@@ -51,7 +51,7 @@ impl Projector {
         let (width, height) = (view.resolution.width as i32, view.resolution.height as i32);
         Projector {
             eye: view.eye,
-            axes: [view.orientation * DVec3::X, view.orientation * DVec3::Y, view.orientation * DVec3::NEG_Z],
+            axes: view.axes(),
             focal_px: view.focal_px(),
             middle: [f64::from(width) * 0.5, f64::from(height) * 0.5],
             near: view.near,
