@@ -22,7 +22,7 @@
 
 use std::sync::Arc;
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 use crate::occluders::Occluders;
 use crate::under_extent::{Extent, Seen};
@@ -244,6 +244,13 @@ impl UnderOcclusion {
     }
 }
 
+/// Least and greatest height, and the greatest sum of a corner's coordinates from the eye, which rounding is relative to.
+pub(crate) struct Heights {
+    pub low: f64,
+    pub high: f64,
+    pub longest: f64,
+}
+
 impl Image {
     fn draw_polygon(&mut self, occluders: &Occluders, polygon: u32) {
         let frame = self.frame;
@@ -315,6 +322,19 @@ impl Image {
         polygon.two_sided && polygon.shell.is_none_or(|shell| shell.inflated(self.radius).contains(self.eye))
     }
 
+    /// How high a polygon's corners stand over the eye along a normal.
+    pub fn heights(&self, normal: DVec3, corners: &[Vec3]) -> Heights {
+        let mut heights = Heights { low: f64::INFINITY, high: f64::NEG_INFINITY, longest: 0.0 };
+        for corner in corners {
+            let v = corner.as_dvec3() - self.eye;
+            let height = normal.dot(v);
+            heights.low = heights.low.min(height);
+            heights.high = heights.high.max(height);
+            heights.longest = heights.longest.max(v.abs().element_sum());
+        }
+        heights
+    }
+
     /// The polygon's planes as seen from the eye; `None` if it is seen edge-on or from a side that hides nothing.
     fn set_up(&mut self, occluders: &Occluders, index: u32) -> Option<Setup> {
         let polygon = &occluders.polygons[index as usize];
@@ -322,14 +342,7 @@ impl Image {
         let corners = occluders.corners(index);
         let corner = |i: usize| corners[i % corners.len()].as_dvec3();
         let normal = polygon.normal;
-        let (mut low, mut high, mut longest) = (f64::INFINITY, f64::NEG_INFINITY, 0.0_f64);
-        for i in 0..corners.len() {
-            let v = corner(i) - self.eye;
-            let height = normal.dot(v);
-            low = low.min(height);
-            high = high.max(height);
-            longest = longest.max(v.abs().element_sum());
-        }
+        let Heights { low, high, longest } = self.heights(normal, corners);
         // The heights' own rounding widens the slab.
         let error = ROUNDING * longest;
         let (from_behind, near, far) = if high < -error {

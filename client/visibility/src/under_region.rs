@@ -40,7 +40,7 @@ use glam::Vec3;
 use crate::Aabb;
 use crate::closers::{self, Closer};
 use crate::occluders::Occluders;
-use crate::under::{EdgePlane, Image, NONE, OCCLUDER_NEAR, ROUNDING, Setup, joints_of};
+use crate::under::{EdgePlane, Heights, Image, NONE, OCCLUDER_NEAR, ROUNDING, Setup, joints_of};
 use crate::under_extent::{Extent, Seen};
 use crate::under_face::{Face, Linear, Region};
 
@@ -102,14 +102,7 @@ impl Image {
         let corners = occluders.corners(index);
         let corner = |i: usize| corners[i % corners.len()].as_dvec3();
         let normal = polygon.normal;
-        let (mut low, mut high, mut longest) = (f64::INFINITY, f64::NEG_INFINITY, 0.0_f64);
-        for i in 0..corners.len() {
-            let v = corner(i) - self.eye;
-            let height = normal.dot(v);
-            low = low.min(height);
-            high = high.max(height);
-            longest = longest.max(v.abs().element_sum());
-        }
+        let Heights { low, high, longest } = self.heights(normal, corners);
         let from_behind = low > 0.0;
         if from_behind && !self.hides_from_behind(occluders, index) {
             return None;
