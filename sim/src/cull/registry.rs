@@ -476,14 +476,23 @@ mod tests {
     #[test]
     fn a_sweep_is_a_product_over_what_each_culler_can_choose() {
         let registry = Registry::standard();
-        let best = ["zbuffer", "frustum-backface", "cplp · octree · sampled · 100"];
+        let best = [
+            "zbuffer",
+            "frustum-backface",
+            "masked · kd-tree · masks",
+            "cplp · octree · sampled · 100",
+            "query-front-to-back · octree · sampled",
+            "hierarchical-z · octree · pyramid",
+            "region · octree · under",
+        ];
         assert_eq!(labels(&registry, &sweep(&["all"], &[], &[], &[])), best);
         assert_eq!(labels(&registry, &Sweep::default()), best);
         assert_eq!(
-            labels(&registry, &sweep(&["cplp", "zbuffer", "cplp"], &["octree"], &["all"], &[0, 500, 0])),
+            labels(&registry, &sweep(&["cplp", "zbuffer", "cplp"], &["octree"], &["sampled"], &[0, 500, 0])),
             ["cplp · octree · sampled · 0", "cplp · octree · sampled · 500", "zbuffer"]
         );
-        let other = Entry { name: "other", tessellations: &["slabs", "octree"], ..registry.entries()[2] };
+        assert_eq!(labels(&registry, &sweep(&["cplp"], &["all"], &["all"], &[])).len(), 2 * 6);
+        let other = Entry { name: "other", tessellations: &["slabs", "octree"], ..*registry.entry("cplp").unwrap() };
         let registry = registry.with(other);
         assert_eq!(
             labels(&registry, &sweep(&["cplp", "other"], &["slabs"], &[], &[7])),
@@ -497,10 +506,13 @@ mod tests {
         let registry = Registry::standard();
         let message = |sweep: &Sweep| registry.settings(sweep).unwrap_err().to_string();
         let text = message(&sweep(&["cplp", "plpp"], &[], &[], &[]));
-        assert!(text.contains("no culler `plpp`") && text.contains("zbuffer, frustum-backface, cplp"), "{text}");
-        assert!(message(&sweep(&[], &["bsp"], &[], &[])).contains("no tessellation `bsp`; known: octree"));
-        assert!(message(&sweep(&[], &[], &["gpu"], &[])).contains("no query `gpu`; known: sampled"));
-        let other = Entry { name: "other", tessellations: &["slabs"], ..registry.entries()[2] };
+        assert!(
+            text.contains("no culler `plpp`") && text.contains("zbuffer, frustum-backface, masked, cplp"),
+            "{text}"
+        );
+        assert!(message(&sweep(&[], &["bsp"], &[], &[])).contains("no tessellation `bsp`; known: kd-tree, octree"));
+        assert!(message(&sweep(&[], &[], &["gpu"], &[])).contains("no query `gpu`; known: histogram, "));
+        let other = Entry { name: "other", tessellations: &["slabs"], ..*registry.entry("cplp").unwrap() };
         let error = Registry::standard().with(other).settings(&sweep(&["cplp"], &["slabs"], &[], &[])).unwrap_err();
         assert!(error.to_string().contains("none of the cullers cplp"));
     }

@@ -273,7 +273,8 @@ impl Try<'_> {
             let mesh = &world.scene.objects()[object as usize];
             z_tests += mesh.triangles.iter().map(|triangle| fragments.of(triangle, mesh.origin)).sum::<u64>();
         }
-        tally.query_z_tests_counted = own.is_some();
+        // A view without triangles takes no tests either way.
+        tally.query_z_tests_counted |= own.is_some();
 
         if tally.worst.is_none_or(|(most, _)| wrong > most) {
             tally.worst = Some((wrong, number));

@@ -95,6 +95,12 @@ impl World {
     /// Names the file or the rule, and the remedy.
     pub fn open(name: &str, rules: &WorldRules) -> anyhow::Result<World> {
         let path = Path::new(name);
+        if rules.objects_per_room.is_some() && name != "building" {
+            anyhow::bail!("--objects-per-room is for `building` alone; leave it out for `{name}`");
+        }
+        if rules.scene_seed.is_some() && !MADE.contains(&name) {
+            anyhow::bail!("--scene-seed is for made worlds ({}); leave it out for `{name}`", MADE.join(", "));
+        }
         match name {
             "building" => World::building(rules),
             "office" => {
