@@ -178,8 +178,8 @@ fn a_recorded_path_replays_to_the_same_rows() {
     assert!(page.contains("data:image/png;base64,") && page.contains("wrong_pixels_mean over frame_ms"));
     let pictures = std::fs::read_dir(folder.path().join("a")).unwrap();
     let pictures = pictures.filter(|file| file.as_ref().unwrap().path().extension().is_some_and(|end| end == "png"));
-    // What all share, what each got right and wrong, and the front of one.
-    assert_eq!(pictures.count(), 2 + 2 * 3 + 1);
+    // What all share, what each got right and wrong, and two fronts of one.
+    assert_eq!(pictures.count(), 2 + 2 * 3 + 2);
 }
 
 #[test]
