@@ -43,18 +43,19 @@ impl Default for Budget {
 pub struct Traversal {
     /// Cells whose triangles were drawn.
     pub cells_projected: usize,
-    /// Times that a whole front was queried, as the paper counts: what a batched back end would wait for.
+    /// Times that a whole front was queried, as the paper counts: what a batched back end would wait for. 0 for cullers without
+    /// fronts.
     pub rounds: usize,
     /// Images that queries drew, where a back end draws them: several a round for the item buffer, one for the per-fragment
     /// histogram.
     pub passes: usize,
-    /// Cells asked about.
+    /// Cells asked about; of [`crate::MaskedCplp`] faces between cells.
     pub queries: usize,
     /// Sealed faces that were believed, so that they did not lead on.
     pub sealed: usize,
     /// Sealed faces that were not: at this resolution, from this eye, they count as open.
     pub doubted: usize,
-    /// Triangles drawn, each once: the size of the visible set.
+    /// The size of the visible set: triangles drawn, each once, where the traversal draws those.
     pub triangles_drawn: usize,
     /// How many of these PLP drew by guess, before any query.
     pub plp_triangles: usize,

@@ -137,9 +137,9 @@ pub fn columns() -> Vec<Column> {
         column(
             "z_tests_per_pixel",
             "",
-            "z-tests of drawing the visible set once, passing or not, and of queries where they are counted, over pixels",
+            "the culler's own z-tests, drawing and queries, where it counts them; else those of drawing the visible set once",
         ),
-        column("query_z_tests_counted", "", "whether the culler counts the z-tests of its queries"),
+        column("query_z_tests_counted", "", "whether z_tests_per_pixel are the culler's own, queries included"),
         column(
             "frame_ms",
             "ms",
