@@ -57,7 +57,7 @@ pub struct Traversal {
     pub doubted: usize,
     /// The size of the visible set: triangles drawn, each once, where the traversal draws those.
     pub triangles_drawn: usize,
-    /// How many of these PLP drew by guess, before any query.
+    /// How many of these PLP drew within its budget, before any query, the eye's own cells included.
     pub plp_triangles: usize,
     /// Polygons drawn as occluders, where these are not the triangles of the visible set.
     pub polygons_drawn: usize,
@@ -370,11 +370,6 @@ impl<T: Target> Run<'_, T> {
     /// The box of a cell.
     pub(crate) fn aabb(&self, cell: CellId) -> &Aabb {
         self.cells.aabb(cell)
-    }
-
-    /// Number of triangles drawn so far.
-    pub(crate) fn triangles_drawn(&self) -> usize {
-        self.scratch.visible.len()
     }
 
     /// Draws what a cell holds, and puts its neighbours into the front.

@@ -36,10 +36,14 @@ pub trait QueryBackEnd {
     fn begin(&mut self, view: &View);
 
     /// Draws those of the primitives that occlude.
-    fn draw(&mut self, scene: &Scene, primitives: &[u32]);
+    fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
+        self.depth_mut().draw(scene, primitives);
+    }
 
     /// Whether any pixel may show any of the box, whatever was drawn.
-    fn in_view(&self, aabb: &Aabb) -> bool;
+    fn in_view(&self, aabb: &Aabb) -> bool {
+        self.depth().in_view(aabb)
+    }
 
     /// Finds which of the boxes may be seen past what was drawn, not past each other: `seen` gets one answer per box. Says
     /// what it cost.
@@ -67,10 +71,15 @@ pub trait QueryBackEnd {
     }
 
     /// Comparisons of depths since [`QueryBackEnd::begin`], drawing and queries.
-    fn z_tests(&self) -> u64;
+    fn z_tests(&self) -> u64 {
+        self.depth().z_tests()
+    }
 
     /// The depths drawn so far: what hides moving things.
     fn depth(&self) -> &DepthBuffer;
+
+    /// The same, to draw into.
+    fn depth_mut(&mut self) -> &mut DepthBuffer;
 }
 
 /// What queries cost.
@@ -189,14 +198,6 @@ impl QueryBackEnd for CpuQuery {
         self.chosen_mut().begin(view);
     }
 
-    fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
-        self.chosen_mut().draw(scene, primitives);
-    }
-
-    fn in_view(&self, aabb: &Aabb) -> bool {
-        self.chosen().in_view(aabb)
-    }
-
     fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
         self.chosen_mut().query(cells, seen)
     }
@@ -217,12 +218,12 @@ impl QueryBackEnd for CpuQuery {
         self.chosen().finished_tiles()
     }
 
-    fn z_tests(&self) -> u64 {
-        self.chosen().z_tests()
-    }
-
     fn depth(&self) -> &DepthBuffer {
         self.chosen().depth()
+    }
+
+    fn depth_mut(&mut self) -> &mut DepthBuffer {
+        self.chosen_mut().depth_mut()
     }
 }
 

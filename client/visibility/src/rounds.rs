@@ -16,8 +16,6 @@ use crate::{
 pub struct RoundsTraversal {
     /// Cells, rounds, queries and triangles, as for any traversal.
     pub traversal: Traversal,
-    /// Triangles that PLP drew within its budget, the eye's own cells included.
-    pub plp_triangles: usize,
     /// Cells that PLP projected.
     pub plp_cells: usize,
     /// What the queries cost, all rounds together.
@@ -29,14 +27,14 @@ pub struct RoundsTraversal {
 impl RoundsTraversal {
     /// Triangles drawn in addition to PLP's, because a query said so.
     pub fn extra_triangles(&self) -> usize {
-        self.traversal.triangles_drawn - self.plp_triangles
+        self.traversal.triangles_drawn - self.traversal.plp_triangles
     }
 
     /// PLP's share of the triangles drawn, 0 to 1; 1 if none was.
     pub fn plp_share(&self) -> f64 {
         match self.traversal.triangles_drawn {
             0 => 1.0,
-            drawn => self.plp_triangles as f64 / drawn as f64,
+            drawn => self.traversal.plp_triangles as f64 / drawn as f64,
         }
     }
 
@@ -114,7 +112,6 @@ impl Cplp {
         let mut target = Drawn { scene, back_end: &mut *back_end };
         let batch = target.back_end.batch().max(1);
         rounds.traversal = self.run(scene, EyeRegion::point(view.eye), budget, &mut target, scratch, |run| {
-            rounds.plp_triangles = run.triangles_drawn();
             rounds.plp_cells = run.done.cells_projected;
             let (mut front, mut boxes, mut seen) = (Vec::new(), Vec::new(), Vec::new());
             while !run.target.is_full() {

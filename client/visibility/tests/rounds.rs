@@ -44,7 +44,7 @@ fn a_larger_budget_needs_fewer_rounds_and_a_per_fragment_histogram_one_pass_in_e
             assert_eq!(items.traversal.triangles_drawn, tiles.traversal.triangles_drawn);
             assert!(tiles.traversal.rounds <= items.traversal.rounds);
             assert!(tiles.queries.read_back <= items.queries.read_back);
-            assert_eq!(single.plp_triangles + single.extra_triangles(), single.traversal.triangles_drawn);
+            assert_eq!(single.traversal.plp_triangles + single.extra_triangles(), single.traversal.triangles_drawn);
             assert!((0.0..=1.0).contains(&single.plp_share()));
         }
         let read_back = |run: &RoundsTraversal| run.queries.read_back as usize;

@@ -2,7 +2,7 @@
 
 use super::passes::{Colour, Passes, ReadBack};
 use super::{QueryBackEnd, QueryCost};
-use crate::{Aabb, DepthBuffer, Scene, View};
+use crate::{Aabb, DepthBuffer, View};
 
 /// Colours of a luminance image, one of them the background's.
 const BINS: usize = 256;
@@ -65,14 +65,6 @@ impl QueryBackEnd for HistogramQuery {
         self.passes.begin(view);
     }
 
-    fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
-        self.passes.depth.draw(scene, primitives);
-    }
-
-    fn in_view(&self, aabb: &Aabb) -> bool {
-        self.passes.depth.in_view(aabb)
-    }
-
     fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
         seen.clear();
         seen.resize(cells.len(), false);
@@ -92,11 +84,11 @@ impl QueryBackEnd for HistogramQuery {
         self.passes.is_full()
     }
 
-    fn z_tests(&self) -> u64 {
-        self.passes.depth.z_tests()
-    }
-
     fn depth(&self) -> &DepthBuffer {
         &self.passes.depth
+    }
+
+    fn depth_mut(&mut self) -> &mut DepthBuffer {
+        &mut self.passes.depth
     }
 }

@@ -2,7 +2,7 @@
 
 use super::passes::{Colour, Passes, ReadBack};
 use super::{QueryBackEnd, QueryCost};
-use crate::{Aabb, DepthBuffer, PixelRect, Scene, View};
+use crate::{Aabb, DepthBuffer, PixelRect, View};
 
 /// Side of a tile in pixels: the paper's 64 tiles of an image of 512 × 512.
 pub const TILE_SIDE: u32 = 64;
@@ -81,14 +81,6 @@ impl QueryBackEnd for ItemBufferQuery {
         self.passes.begin(view);
     }
 
-    fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
-        self.passes.depth.draw(scene, primitives);
-    }
-
-    fn in_view(&self, aabb: &Aabb) -> bool {
-        self.passes.depth.in_view(aabb)
-    }
-
     fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
         seen.clear();
         seen.resize(cells.len(), false);
@@ -109,11 +101,11 @@ impl QueryBackEnd for ItemBufferQuery {
         self.passes.finished_tiles()
     }
 
-    fn z_tests(&self) -> u64 {
-        self.passes.depth.z_tests()
-    }
-
     fn depth(&self) -> &DepthBuffer {
         &self.passes.depth
+    }
+
+    fn depth_mut(&mut self) -> &mut DepthBuffer {
+        &mut self.passes.depth
     }
 }

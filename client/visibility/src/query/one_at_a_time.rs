@@ -2,7 +2,7 @@
 
 use super::{QueryBackEnd, QueryCost, no_depth};
 use crate::raster_sampled::BoxPlace;
-use crate::{Aabb, DepthBuffer, Scene, View};
+use crate::{Aabb, DepthBuffer, View};
 
 /// Tests one box after the other, so that each answer is there before the next box is asked, and what is seen can be drawn
 /// first. A test ends with the first row of pixels in which the box passes.
@@ -46,14 +46,6 @@ impl QueryBackEnd for OneAtATimeQuery {
         self.depth.begin(view);
     }
 
-    fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
-        self.depth.draw(scene, primitives);
-    }
-
-    fn in_view(&self, aabb: &Aabb) -> bool {
-        self.depth.in_view(aabb)
-    }
-
     fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
         seen.clear();
         let mut total = QueryCost::default();
@@ -73,11 +65,11 @@ impl QueryBackEnd for OneAtATimeQuery {
         self.depth.has_no_pixels()
     }
 
-    fn z_tests(&self) -> u64 {
-        self.depth.z_tests()
-    }
-
     fn depth(&self) -> &DepthBuffer {
         &self.depth
+    }
+
+    fn depth_mut(&mut self) -> &mut DepthBuffer {
+        &mut self.depth
     }
 }

@@ -3,7 +3,7 @@
 
 use super::{QueryBackEnd, QueryCost, no_depth};
 use crate::raster_sampled::BoxPlace;
-use crate::{Aabb, DepthBuffer, Scene, View};
+use crate::{Aabb, DepthBuffer, View};
 
 /// Draws all boxes with depth test and without depth write, and counts the fragments of each that pass. No box hides
 /// another, so that one pass finds all that can be seen, and there is no image to clear, fill or scan.
@@ -37,14 +37,6 @@ impl QueryBackEnd for PerFragmentHistogram {
         self.depth.begin(view);
     }
 
-    fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
-        self.depth.draw(scene, primitives);
-    }
-
-    fn in_view(&self, aabb: &Aabb) -> bool {
-        self.depth.in_view(aabb)
-    }
-
     fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
         self.counts.clear();
         let (mut z_tests, mut drawn) = (0, 0);
@@ -76,11 +68,11 @@ impl QueryBackEnd for PerFragmentHistogram {
         self.depth.has_no_pixels()
     }
 
-    fn z_tests(&self) -> u64 {
-        self.depth.z_tests()
-    }
-
     fn depth(&self) -> &DepthBuffer {
         &self.depth
+    }
+
+    fn depth_mut(&mut self) -> &mut DepthBuffer {
+        &mut self.depth
     }
 }

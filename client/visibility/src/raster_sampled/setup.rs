@@ -76,13 +76,9 @@ impl Projector {
         ViewPoint { x, y, w }
     }
 
-    /// The view-space normals of planes perpendicular to the scene's three axes: rows of the axes' inverse, transposed, since
-    /// a quaternion of unit length only to a few digits does not turn exactly.
+    /// The scene's three axes in view space: right, up and forward parts of each.
     pub(super) fn normals(&self) -> [[f64; 3]; 3] {
-        let [a, b, c] = self.axes;
-        let (right, up, forward) = (b.cross(c), c.cross(a), a.cross(b));
-        let scale = 1.0 / a.dot(right);
-        std::array::from_fn(|axis| [right[axis], up[axis], forward[axis]].map(|part| part * scale))
+        std::array::from_fn(|axis| self.axes.map(|direction| direction[axis]))
     }
 
     /// Whether all points lie more than a pixel outside one of the image's four sides, and `slack` metres more. Holds for
