@@ -21,21 +21,24 @@ impl IndexView {
     /// Makes the index that this view looks into.
     pub fn maker(&self) -> IndexMaker {
         let view = self.clone();
-        Box::new(move || Box::new(PlainIndex { view: view.clone() }))
+        Box::new(move || Box::new(PlainIndex { view: view.clone(), updates: 0 }))
     }
 }
 
 /// Tests every bound at every walk.
 pub struct PlainIndex {
     view: IndexView,
+    updates: u64,
 }
 
 impl DynamicIndex for PlainIndex {
     fn insert(&mut self, key: u32, bound: Bound) {
+        self.updates += 1;
         self.view.bounds.lock().expect("nothing panics while it holds the lock").insert(key, bound);
     }
 
     fn remove(&mut self, key: u32) -> bool {
+        self.updates += 1;
         self.view.bounds.lock().expect("nothing panics while it holds the lock").remove(&key).is_some()
     }
 
@@ -47,5 +50,9 @@ impl DynamicIndex for PlainIndex {
 
     fn len(&self) -> usize {
         self.view.bounds.lock().expect("nothing panics while it holds the lock").len()
+    }
+
+    fn update_visits(&self) -> u64 {
+        self.updates
     }
 }

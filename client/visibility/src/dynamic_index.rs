@@ -25,6 +25,8 @@ pub struct DynamicOctree {
     unbounded: BTreeSet<u32>,
     /// Half the side of the smallest cells.
     half_min: f64,
+    /// Nodes looked at by updates.
+    visits: u64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -80,6 +82,7 @@ impl DynamicOctree {
             places: BTreeMap::new(),
             unbounded: BTreeSet::new(),
             half_min,
+            visits: 0,
         }
     }
 
@@ -99,8 +102,10 @@ impl DynamicOctree {
     /// The smallest node for `aabb`, made if need be; `start` is any node.
     fn home(&mut self, start: u32, aabb: &Aabb) -> u32 {
         let mut at = start;
+        self.visits += 1;
         while at != ROOT && !self.node(at).suits(aabb) {
             at = self.node(at).parent;
+            self.visits += 1;
         }
         // Outside the root's cell, octants mean nothing.
         if at == ROOT && !self.node(ROOT).suits(aabb) {
@@ -133,6 +138,7 @@ impl DynamicOctree {
                 }
                 existing => existing,
             };
+            self.visits += 1;
         }
     }
 
@@ -147,6 +153,7 @@ impl DynamicOctree {
             let around = self.node(at).around.union(&entry.aabb);
             self.node_mut(at).around = around;
             at = self.node(at).parent;
+            self.visits += 1;
         }
     }
 
@@ -159,6 +166,7 @@ impl DynamicOctree {
         }
         let mut at = place.node;
         loop {
+            self.visits += 1;
             let node = self.node(at);
             let parent = node.parent;
             if at != ROOT && node.is_vacant() {
@@ -263,6 +271,10 @@ impl DynamicIndex for DynamicOctree {
     fn len(&self) -> usize {
         self.places.len() + self.unbounded.len()
     }
+
+    fn update_visits(&self) -> u64 {
+        self.visits
+    }
 }
 
 impl OctreeNode {
@@ -313,7 +325,7 @@ fn outward(Aabb { min, max }: Aabb) -> Aabb {
 }
 
 /// A box that contains the bound, rounding included; `None` if nothing finite does or the bound makes no sense.
-fn outer_box(bound: &Bound) -> Option<Aabb> {
+pub(crate) fn outer_box(bound: &Bound) -> Option<Aabb> {
     let aabb = match *bound {
         Bound::Sphere { centre, radius } if radius >= 0.0 => outward(Aabb::around(centre, DVec3::splat(radius))),
         Bound::Upright { centre, radius, half_height } if radius >= 0.0 && half_height >= 0.0 => {
@@ -508,12 +520,14 @@ mod tests {
     #[test]
     fn step_to_a_neighbour_leaves_the_rest_alone() {
         let mut octree = crowd(1_000, 0.0);
-        let nodes = octree.node_count();
+        let (nodes, visits) = (octree.node_count(), octree.update_visits());
         for step in 0..1_000 {
             let centre = DVec3::new(f64::from(step) * 0.3, 1.0, 20.0);
             octree.insert(5_000, Bound::Sphere { centre, radius: 1.0 });
         }
         octree.assert_well_formed();
+        // Steps of a third of a radius seldom leave the node: five or so a step, of eleven levels.
+        assert!((1_000..8_000).contains(&(octree.update_visits() - visits)), "{}", octree.update_visits() - visits);
         octree.remove(5_000);
         octree.assert_well_formed();
         assert_eq!(octree.node_count(), nodes);

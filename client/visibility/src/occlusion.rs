@@ -25,6 +25,9 @@ pub trait DynamicIndex {
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
+    /// Nodes that [`DynamicIndex::insert`] and [`DynamicIndex::remove`] have looked at since it was made. Keys in a structure
+    /// without nodes count as one each.
+    fn update_visits(&self) -> u64;
 }
 
 /// An image that a traversal draws occluders into and asks about boxes: what is left of a query back end when cPLP's
