@@ -9,7 +9,7 @@ use std::sync::Arc;
 use eyeline_visibility::{
     Aabb, Budget, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, DepthBuffer, EyeRegion,
     FrustumBackface, HierarchicalZ, KdRules, KdTree, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules,
-    QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, View, ZBuffer,
+    QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, Triangle, View, ZBuffer,
 };
 
 use super::picture::Layer;
@@ -21,6 +21,12 @@ pub trait Candidate {
 
     /// What the last cull knows to be hidden.
     fn occlusion(&self) -> &dyn Occlusion;
+
+    /// Draws opaque triangles that are no part of the scene, in its coordinates, so that they hide from now on what lies behind
+    /// them in the view of the last cull. Returns whether the culler can.
+    fn draw_moving(&mut self, _triangles: &[Triangle]) -> bool {
+        false
+    }
 
     /// Comparisons of depths of the last cull, drawing and queries, if it draws a Z-buffer of its own. Else the report counts
     /// those that drawing the visible set takes.
@@ -59,6 +65,10 @@ impl<C: Culler> Candidate for WithScratch<C> {
         self.scratch.occlusion()
     }
 
+    fn draw_moving(&mut self, triangles: &[Triangle]) -> bool {
+        let _ = triangles; false
+    }
+
     fn z_tests(&self) -> Option<u64> {
         (self.z_tests > 0).then_some(self.z_tests)
     }
@@ -80,6 +90,10 @@ impl<C: Culler> Candidate for WithFront<C> {
 
     fn occlusion(&self) -> &dyn Occlusion {
         self.inner.occlusion()
+    }
+
+    fn draw_moving(&mut self, triangles: &[Triangle]) -> bool {
+        self.inner.draw_moving(triangles)
     }
 
     fn z_tests(&self) -> Option<u64> {

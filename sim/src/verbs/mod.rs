@@ -7,6 +7,7 @@ mod replay;
 mod scene;
 mod serve;
 mod swarm;
+mod track;
 
 use std::io::Write as _;
 use std::path::Path;
@@ -23,6 +24,9 @@ pub enum Verb {
     /// Compare cullers: wrong pixels, what was kept and what was lost, z-tests and time
     #[command(after_long_help = cull::EXAMPLES)]
     Cull(Box<cull::Cull>),
+    /// Repeat the papers' experiments with trackers: work, time and messages, without a network
+    #[command(after_long_help = track::EXAMPLES)]
+    Track(Box<track::Track>),
     /// Make a scene: a .glb with its world file
     #[command(subcommand, after_long_help = scene::EXAMPLES)]
     Scene(scene::Scene),
@@ -42,6 +46,7 @@ pub fn run(verb: &Verb) -> anyhow::Result<()> {
     match verb {
         Verb::Measure(options) => measure::run(options),
         Verb::Cull(options) => cull::run(options),
+        Verb::Track(options) => track::run(options),
         Verb::Scene(options) => scene::run(options),
         Verb::Serve(options) => serve::run(options),
         Verb::Swarm(options) => swarm::run(options),

@@ -1,0 +1,535 @@
+//! The algorithm of S&G §3.3 whole, over any static culler, without a network: one viewer's frames.
+//!
+//! The names are the paper's: **T** is a [`DynamicIndex`], **D** the entries, **Q** the [`ExpiryQueue`], **V** the
+//! set of (potentially) visible objects. 𝒜 is split in two (DESIGN §4): a static culler has drawn the static scene before, and
+//! its image says what it hides; T, which holds what moves, is walked against it. What moves and is drawn joins the image, so
+//! that it hides what lies behind it in the same frame.
+//!
+//! Step 3 changes T while it walks it. The changes are buffered as §3.3 discusses: the walk first lists what is exposed, then
+//! each exposed bound gives way to its object's present configuration, which is tested at once. So nothing has to be walked
+//! twice, and no object waits for the next frame.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use eyeline_protocol::WorldTime;
+use eyeline_visibility::{Bound, DynamicIndex, Occlusion};
+use glam::DVec3;
+
+use super::{ExpiryQueue, Period, TemporalBound, Validity};
+
+/// How T is kept up to date.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Variant {
+    /// TBVe: visible objects are moved in T in every frame (§3.3). Exact.
+    Explicit,
+    /// TBVi: visible objects stay in T where they came into view (§3.6). One that comes into sight past the place where T has
+    /// it may be absent for one frame, and never for two running.
+    Implicit,
+    /// Every object is moved in T in every frame, hidden or not: the paper's HZB.
+    EveryObject,
+    /// Every object is shown in every frame, without T: the paper's ZB.
+    NoHierarchy,
+}
+
+impl Variant {
+    /// All variants.
+    pub const ALL: [Variant; 4] = [Variant::Explicit, Variant::Implicit, Variant::EveryObject, Variant::NoHierarchy];
+
+    /// The name in reports and on command lines.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Variant::Explicit => "tbv-e",
+            Variant::Implicit => "tbv-i",
+            Variant::EveryObject => "every-object",
+            Variant::NoHierarchy => "no-hierarchy",
+        }
+    }
+
+    /// Whether hidden objects are left alone.
+    pub const fn uses_bounds(self) -> bool {
+        matches!(self, Variant::Explicit | Variant::Implicit)
+    }
+}
+
+impl std::str::FromStr for Variant {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Variant, String> {
+        Variant::ALL
+            .into_iter()
+            .find(|variant| variant.name() == text)
+            .ok_or_else(|| format!("'{text}' is not {}", Variant::ALL.map(Variant::name).join(", ")))
+    }
+}
+
+/// Whoever moves the objects: what would be asked over a network. Each call is a message.
+pub trait Agents {
+    /// A volume that contains the object as it is now, as tight as its culling should be (`upd_vis`, step 1).
+    fn configuration(&mut self, object: u32) -> Bound;
+    /// A TBV from now until `expires` (step 4 c).
+    fn temporal_bound(&mut self, object: u32, expires: WorldTime) -> TemporalBound;
+}
+
+/// The image of the frame, with the static scene in it.
+pub trait Image {
+    /// What is hidden by all that was drawn so far.
+    fn occlusion(&self) -> &dyn Occlusion;
+    /// Displays an object in its present configuration. Returns whether it hides what is behind it from now on.
+    fn draw(&mut self, object: u32) -> bool;
+}
+
+/// What a frame is about.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameInput {
+    /// Its time.
+    pub now: WorldTime,
+    /// From where it is seen: nearer objects are drawn first.
+    pub eye: DVec3,
+    /// Whether the viewpoint moves, which halves validity periods (§3.4).
+    pub eye_moves: bool,
+}
+
+/// What a frame took.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameStats {
+    /// Nodes of T visited, walking and updating, and bounds tested.
+    pub work: u64,
+    /// Configurations obtained: messages.
+    pub updates: u64,
+    /// TBVs obtained: messages.
+    pub bounds: u64,
+    /// Of both, those that were about objects that this frame does not show.
+    pub hidden_caused: u64,
+    /// TBVs that became visible.
+    pub exposed: u64,
+    /// TBVs whose time was up.
+    pub expired: u64,
+    /// TBVs that their objects had broken.
+    pub violated: u64,
+    /// Objects displayed.
+    pub shown: u64,
+}
+
+impl FrameStats {
+    /// Adds what another frame took.
+    pub fn add(&mut self, other: &FrameStats) {
+        self.work += other.work;
+        self.updates += other.updates;
+        self.bounds += other.bounds;
+        self.hidden_caused += other.hidden_caused;
+        self.exposed += other.exposed;
+        self.expired += other.expired;
+        self.violated += other.violated;
+        self.shown += other.shown;
+    }
+}
+
+#[derive(Clone, Debug)]
+enum State {
+    /// In V.
+    Visible,
+    /// In Q and, by its volume, in T.
+    Hidden(TemporalBound),
+}
+
+/// One object's place in D.
+#[derive(Clone, Debug)]
+struct Entry {
+    state: State,
+    /// What stands for it in T: its node pointers, by way of T's keys.
+    keys: Vec<u32>,
+    /// Number of the frame that displayed it last; 0 for never.
+    observed: u64,
+    /// The volumes in T, one for each key.
+    volume: Vec<Bound>,
+    period: Period,
+}
+
+/// T, D, Q and V of one viewer.
+pub struct SceneTracker {
+    variant: Variant,
+    validity: Validity,
+    frame_time: Duration,
+    index: Box<dyn DynamicIndex + Send>,
+    /// Which object a key of T stands for; `None` for keys that are free.
+    owners: Vec<Option<u32>>,
+    free: Vec<u32>,
+    entries: BTreeMap<u32, Entry>,
+    queue: ExpiryQueue<u32>,
+    visible: BTreeSet<u32>,
+    /// Hidden objects that were reported to have broken their bounds since the last frame.
+    violated: BTreeSet<u32>,
+    frames: u64,
+    now: WorldTime,
+    /// Kept to spare allocations.
+    keys: Vec<u32>,
+    pieces: Vec<Bound>,
+    due: Vec<u32>,
+}
+
+impl SceneTracker {
+    /// A tracker of nothing yet. `index` becomes T; frames are `frame_time` apart, which is also what expiries are rounded
+    /// down to, so that many fall together.
+    pub fn new(
+        variant: Variant,
+        validity: Validity,
+        frame_time: Duration,
+        index: Box<dyn DynamicIndex + Send>,
+    ) -> SceneTracker {
+        SceneTracker {
+            variant,
+            validity,
+            frame_time,
+            index,
+            owners: Vec::new(),
+            free: Vec::new(),
+            entries: BTreeMap::new(),
+            queue: ExpiryQueue::new(frame_time),
+            visible: BTreeSet::new(),
+            violated: BTreeSet::new(),
+            frames: 0,
+            now: WorldTime::MIN,
+            keys: Vec::new(),
+            pieces: Vec::new(),
+            due: Vec::new(),
+        }
+    }
+
+    /// An object exists: potentially visible until a frame shows that it is not. An id that is in use is a new object.
+    pub fn insert(&mut self, object: u32) {
+        self.remove(object);
+        let entry = Entry { state: State::Visible, keys: Vec::new(), volume: Vec::new(), observed: 0, period: self.validity.first() };
+        self.entries.insert(object, entry);
+        self.visible.insert(object);
+        self.debug_check(object);
+    }
+
+    /// An object exists no more. Returns whether it did.
+    pub fn remove(&mut self, object: u32) -> bool {
+        self.leave_t(object);
+        self.queue.cancel(object);
+        self.visible.remove(&object);
+        self.violated.remove(&object);
+        let was_there = self.entries.remove(&object).is_some();
+        self.debug_check(object);
+        was_there
+    }
+
+    /// An object has broken its bound, or will have by the next frame (§3.5). Whoever moves it says so.
+    pub fn handle_violation(&mut self, object: u32) {
+        if matches!(self.entries.get(&object), Some(Entry { state: State::Hidden(_), .. })) {
+            self.violated.insert(object);
+        }
+    }
+
+    /// One frame of §3.3: calls [`Image::draw`] for each object that may be visible, nearest first.
+    ///
+    /// Any `now` will do: if time goes back, bounds issued after it are void.
+    pub fn frame(&mut self, input: FrameInput, agents: &mut dyn Agents, image: &mut dyn Image) -> FrameStats {
+        let mut stats = FrameStats::default();
+        let visits = self.index.update_visits();
+        self.frames += 1;
+        let expired = self.expire(input.now, &mut stats);
+        if self.variant == Variant::NoHierarchy {
+            for &object in &self.visible {
+                agents.configuration(object);
+                image.draw(object);
+            }
+            stats.updates += self.visible.len() as u64;
+            stats.shown += self.visible.len() as u64;
+            return stats;
+        }
+        // Step 2. Under TBVi, only what T does not have.
+        let is_moved = |object: &&u32| match self.variant {
+            Variant::Implicit => self.entries.get(object).is_some_and(|entry| entry.keys.is_empty()),
+            _ => true,
+        };
+        let told: BTreeSet<u32> = self.visible.iter().filter(is_moved).copied().collect();
+        for &object in &told {
+            self.update_visible(object, agents, &mut stats);
+        }
+        let exposed = self.display(&input, agents, image, &told, &mut stats);
+        if self.variant.uses_bounds() {
+            self.hide(&input, agents, image.occlusion(), &expired, &exposed, &told, &mut stats);
+        }
+        stats.work += self.index.update_visits() - visits;
+        stats
+    }
+
+    /// Step 1: TBVs whose time is up, and broken ones. Returns whose they were.
+    fn expire(&mut self, now: WorldTime, stats: &mut FrameStats) -> Vec<u32> {
+        let mut due = std::mem::take(&mut self.due);
+        due.clear();
+        self.queue.expire(now, &mut due);
+        stats.expired += due.len() as u64;
+        if now < self.now {
+            let void = self.entries.iter().filter(|(_, entry)| match &entry.state {
+                State::Hidden(bound) => bound.issued() > now,
+                State::Visible => false,
+            });
+            due.extend(void.map(|(&object, _)| object));
+        }
+        self.now = now;
+        for object in std::mem::take(&mut self.violated) {
+            stats.violated += 1;
+            due.push(object);
+        }
+        due.sort_unstable();
+        due.dedup();
+        for &object in &due {
+            self.delete_bound(object);
+        }
+        let expired = due.clone();
+        self.due = due;
+        expired
+    }
+
+    /// Step 3. Returns whose bounds were exposed.
+    fn display(
+        &mut self,
+        input: &FrameInput,
+        agents: &mut dyn Agents,
+        image: &mut dyn Image,
+        told: &BTreeSet<u32>,
+        stats: &mut FrameStats,
+    ) -> BTreeSet<u32> {
+        let mut keys = std::mem::take(&mut self.keys);
+        keys.clear();
+        stats.work += self.index.exposed(image.occlusion(), &mut keys) as u64;
+        let seen: BTreeSet<u32> =
+            keys.iter().filter_map(|&key| self.owners.get(key as usize).copied().flatten()).collect();
+        self.keys = keys;
+        let distance = |object: &u32| self.entries.get(object).map_or(0.0, |entry| nearest(&entry.volume, input.eye));
+        let mut candidates: Vec<(f64, u32)> = seen.iter().map(|object| (distance(object), *object)).collect();
+        candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut exposed = BTreeSet::new();
+        let mut has_grown = false;
+        for (_, object) in candidates {
+            let Some(entry) = self.entries.get(&object) else { continue };
+            // What was drawn since the walk may hide it.
+            if has_grown {
+                stats.work += entry.volume.len() as u64;
+                if entry.volume.iter().all(|bound| image.occlusion().hides(bound)) {
+                    continue;
+                }
+            }
+            match entry.state {
+                State::Hidden(_) => {
+                    stats.exposed += 1;
+                    exposed.insert(object);
+                    self.delete_bound(object);
+                    let bound = self.update_visible(object, agents, stats);
+                    stats.work += 1;
+                    if image.occlusion().hides(&bound) {
+                        continue;
+                    }
+                }
+                // Displayed as it is now, wherever T has it.
+                State::Visible if self.variant == Variant::Implicit && !told.contains(&object) => {
+                    stats.updates += 1;
+                    agents.configuration(object);
+                }
+                State::Visible => {}
+            }
+            has_grown |= image.draw(object);
+            stats.shown += 1;
+            if let Some(entry) = self.entries.get_mut(&object) {
+                entry.observed = self.frames;
+            }
+        }
+        exposed
+    }
+
+    /// Step 4: what V has and this frame did not display gets a TBV.
+    fn hide(
+        &mut self,
+        input: &FrameInput,
+        agents: &mut dyn Agents,
+        occlusion: &dyn Occlusion,
+        expired: &[u32],
+        exposed: &BTreeSet<u32>,
+        told: &BTreeSet<u32>,
+        stats: &mut FrameStats,
+    ) {
+        let is_unseen = |object: &&u32| self.entries.get(object).is_some_and(|entry| entry.observed < self.frames);
+        let unseen: Vec<u32> = self.visible.iter().filter(is_unseen).copied().collect();
+        for object in unseen {
+            let Some(entry) = self.entries.get_mut(&object) else { continue };
+            // §3.4: hidden when its time was up, so it could have been longer; hidden when its bound came into view, so it was
+            // too long. What has just gone out of view starts anew.
+            if expired.binary_search(&object).is_ok() {
+                self.validity.lengthen(&mut entry.period);
+            } else if exposed.contains(&object) {
+                self.validity.shorten(&mut entry.period);
+            } else {
+                entry.period = self.validity.first();
+            }
+            let period = entry.period;
+            let is_update_in_vain = told.contains(&object) || exposed.contains(&object);
+            stats.bounds += 1;
+            stats.hidden_caused += 1 + u64::from(is_update_in_vain);
+            let bound = match self.validity {
+                // Chosen here, from one bound, without further messages.
+                Validity::Exact { longest } => {
+                    let bound = agents.temporal_bound(object, input.now + longest);
+                    let pieces = &mut self.pieces;
+                    let mut tested = 0;
+                    let chosen = self.validity.choose(&period, input.eye_moves, self.frame_time, &mut |validity| {
+                        pieces.clear();
+                        bound.volume(input.now + validity, pieces);
+                        tested += pieces.len() as u64;
+                        pieces.iter().all(|piece| occlusion.hides(piece))
+                    });
+                    stats.work += tested;
+                    bound.with_expiry(input.now + chosen)
+                }
+                Validity::Fixed(_) | Validity::Adaptive { .. } => {
+                    let chosen = self.validity.choose(&period, input.eye_moves, self.frame_time, &mut |_| true);
+                    agents.temporal_bound(object, input.now + chosen)
+                }
+            };
+            self.leave_t(object);
+            self.visible.remove(&object);
+            let mut pieces = std::mem::take(&mut self.pieces);
+            pieces.clear();
+            bound.volume(bound.expires(), &mut pieces);
+            self.enter_t(object, &pieces);
+            self.pieces = pieces;
+            self.queue.insert(object, bound.expires());
+            if let Some(entry) = self.entries.get_mut(&object) {
+                entry.state = State::Hidden(bound);
+            }
+            self.debug_check(object);
+        }
+    }
+
+    /// The paper's `del_TBV`: the object is potentially visible again.
+    fn delete_bound(&mut self, object: u32) {
+        self.leave_t(object);
+        self.queue.cancel(object);
+        self.violated.remove(&object);
+        if let Some(entry) = self.entries.get_mut(&object) {
+            entry.state = State::Visible;
+            self.visible.insert(object);
+        }
+        self.debug_check(object);
+    }
+
+    /// The paper's `upd_vis`: T gets the object as it is now.
+    fn update_visible(&mut self, object: u32, agents: &mut dyn Agents, stats: &mut FrameStats) -> Bound {
+        stats.updates += 1;
+        let bound = agents.configuration(object);
+        self.enter_t(object, &[bound]);
+        self.debug_check(object);
+        bound
+    }
+
+    /// Puts these volumes into T in place of what stands for the object there. Keys that are kept move, so that T can update
+    /// itself under a least common ancestor.
+    fn enter_t(&mut self, object: u32, volume: &[Bound]) {
+        let Some(entry) = self.entries.get_mut(&object) else { return };
+        for key in entry.keys.split_off(entry.keys.len().min(volume.len())) {
+            self.index.remove(key);
+            self.owners[key as usize] = None;
+            self.free.push(key);
+        }
+        while entry.keys.len() < volume.len() {
+            let key = self.free.pop().unwrap_or_else(|| {
+                self.owners.push(None);
+                (self.owners.len() - 1) as u32
+            });
+            self.owners[key as usize] = Some(object);
+            entry.keys.push(key);
+        }
+        for (&key, &bound) in entry.keys.iter().zip(volume) {
+            self.index.insert(key, bound);
+        }
+        entry.volume.clear();
+        entry.volume.extend_from_slice(volume);
+    }
+
+    fn leave_t(&mut self, object: u32) {
+        self.enter_t(object, &[]);
+    }
+
+    /// Objects of V, ascending.
+    pub fn visible(&self) -> impl Iterator<Item = u32> + '_ {
+        self.visible.iter().copied()
+    }
+
+    /// The objects that the newest frame displayed, ascending.
+    pub fn shown(&self) -> impl Iterator<Item = u32> + '_ {
+        let is_shown =
+            |&object: &u32| self.entries.get(&object).is_some_and(|entry| entry.observed == self.frames);
+        self.visible().filter(is_shown)
+    }
+
+    /// The bound that stands for a hidden object.
+    pub fn bound(&self, object: u32) -> Option<&TemporalBound> {
+        match &self.entries.get(&object)?.state {
+            State::Hidden(bound) => Some(bound),
+            State::Visible => None,
+        }
+    }
+
+    /// Objects, of which this many are in V.
+    pub fn counts(&self) -> (usize, usize) {
+        (self.entries.len(), self.visible.len())
+    }
+
+    /// Checks one object after each of its mutations, in debug builds: all of them would make every mutation linear.
+    fn debug_check(&self, object: u32) {
+        if cfg!(debug_assertions) {
+            self.check_object(object);
+            assert_eq!(
+                self.queue.len() + self.visible.len(),
+                self.entries.len(),
+                "an object is in Q or in V, and in one of them"
+            );
+            assert_eq!(self.owners.len() - self.free.len(), self.index.len(), "T has the keys in use");
+        }
+    }
+
+    fn check_object(&self, object: u32) {
+        let in_queue = self.queue.due(object).is_some();
+        let in_visible = self.visible.contains(&object);
+        let Some(entry) = self.entries.get(&object) else {
+            assert!(!in_queue && !in_visible && !self.violated.contains(&object), "object {object} left something behind");
+            return;
+        };
+        match entry.state {
+            State::Visible => assert!(in_visible && !in_queue, "object {object} is in V alone"),
+            State::Hidden(_) => {
+                assert!(in_queue && !in_visible, "hidden object {object} is in Q and not in V");
+                assert!(!entry.keys.is_empty(), "hidden object {object} is in T");
+            }
+        }
+        assert_eq!(entry.keys.len(), entry.volume.len());
+        for &key in &entry.keys {
+            assert_eq!(self.owners[key as usize], Some(object), "key {key} is object {object}'s");
+        }
+    }
+
+    /// Checks T, D, Q and V against each other, whole.
+    ///
+    /// # Panics
+    /// If they disagree: an invariant of this module is broken.
+    pub fn check(&self) {
+        let keys: usize = self.entries.values().map(|entry| entry.keys.len()).sum();
+        assert_eq!(keys, self.index.len(), "T holds what D points to");
+        assert_eq!(keys + self.free.len(), self.owners.len(), "keys are used or free");
+        assert!(self.visible.iter().all(|object| self.entries.contains_key(object)), "V has what D has");
+        assert_eq!(self.queue.len() + self.visible.len(), self.entries.len());
+        self.entries.keys().for_each(|&object| self.check_object(object));
+    }
+}
+
+/// Distance from the eye to the nearest of some volumes; 0 for what has no bounds.
+fn nearest(volume: &[Bound], eye: DVec3) -> f64 {
+    let distance = |bound: &Bound| bound.aabb().map_or(0.0, |aabb| aabb.distance(eye));
+    volume.iter().map(distance).min_by(f64::total_cmp).unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests;

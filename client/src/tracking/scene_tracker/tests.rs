@@ -1,0 +1,264 @@
+use std::collections::BTreeMap;
+
+use eyeline_visibility::{Aabb, DynamicOctree};
+use proptest::prelude::*;
+
+use super::*;
+use crate::tracking::{MotionLimits, MotionState, TbvShape};
+
+const FRAME: Duration = Duration::from_millis(50);
+const SPEED: f64 = 2.0;
+const REACH: f64 = 0.5;
+
+/// Hides what lies wholly beyond a wall at some x.
+struct Wall(f64);
+
+impl Occlusion for Wall {
+    fn hides(&self, bound: &Bound) -> bool {
+        bound.aabb().is_some_and(|aabb| aabb.min.x > self.0)
+    }
+}
+
+/// Shows, and hides nothing by what is shown.
+struct Screen {
+    wall: Wall,
+    drawn: Vec<u32>,
+}
+
+impl Image for Screen {
+    fn occlusion(&self) -> &dyn Occlusion {
+        &self.wall
+    }
+
+    fn draw(&mut self, object: u32) -> bool {
+        self.drawn.push(object);
+        false
+    }
+}
+
+/// Objects by their place on the x axis.
+#[derive(Default)]
+struct Line {
+    places: BTreeMap<u32, f64>,
+    now: WorldTime,
+    asked: u64,
+    shape: Option<TbvShape>,
+}
+
+impl Line {
+    fn bound(&self, object: u32) -> Bound {
+        Bound::Box(Aabb::around(self.at(object), DVec3::splat(REACH)))
+    }
+
+    fn at(&self, object: u32) -> DVec3 {
+        DVec3::new(self.places[&object], 0.0, 0.0)
+    }
+}
+
+impl Agents for Line {
+    fn configuration(&mut self, object: u32) -> Bound {
+        self.asked += 1;
+        self.bound(object)
+    }
+
+    fn temporal_bound(&mut self, object: u32, expires: WorldTime) -> TemporalBound {
+        self.asked += 1;
+        let state = MotionState { position: self.at(object), velocity: DVec3::ZERO };
+        let limits = MotionLimits {
+            speed_max: SPEED,
+            acceleration_max: f64::INFINITY,
+            axis_speed_max: DVec3::splat(SPEED),
+            reach: REACH * 3.0_f64.sqrt() * 1.001,
+        };
+        let shape = self.shape.unwrap_or(TbvShape::SpeedSphere);
+        TemporalBound::new(shape, state, limits, None, self.now, expires)
+    }
+}
+
+fn tracker(variant: Variant, validity: Validity) -> SceneTracker {
+    let index = DynamicOctree::new(Aabb::around(DVec3::ZERO, DVec3::splat(64.0)));
+    SceneTracker::new(variant, validity, FRAME, Box::new(index))
+}
+
+fn frame(tracker: &mut SceneTracker, line: &mut Line, now: WorldTime, wall: f64) -> (Vec<u32>, FrameStats) {
+    line.now = now;
+    let mut screen = Screen { wall: Wall(wall), drawn: Vec::new() };
+    let input = FrameInput { now, eye: DVec3::NEG_X * 100.0, eye_moves: true };
+    let stats = tracker.frame(input, line, &mut screen);
+    tracker.check();
+    screen.drawn.sort_unstable();
+    assert!(tracker.shown().eq(screen.drawn.iter().copied()) || tracker.variant == Variant::NoHierarchy);
+    (screen.drawn, stats)
+}
+
+#[derive(Clone, Debug)]
+enum Event {
+    /// Everybody moves by their share of what the speed allows, and the wall by so many metres.
+    Frame(f64, f64),
+    Join(u32, f64),
+    Leave(u32),
+    /// Teleports, and says so.
+    Violate(u32, f64),
+    /// The clock jumps by so many frames, forth or back.
+    Jump(i64),
+}
+
+fn event() -> impl Strategy<Value = Event> {
+    prop_oneof![
+        12 => (-1.0..1.0f64, -0.5..0.5f64).prop_map(|(moved, wall)| Event::Frame(moved, wall)),
+        2 => (0..12u32, -20.0..40.0f64).prop_map(|(object, x)| Event::Join(object, x)),
+        1 => (0..12u32).prop_map(Event::Leave),
+        1 => (0..12u32, -20.0..40.0f64).prop_map(|(object, x)| Event::Violate(object, x)),
+        1 => (-100..100i64).prop_map(Event::Jump),
+    ]
+}
+
+fn variant() -> impl Strategy<Value = Variant> {
+    prop_oneof![Just(Variant::Explicit), Just(Variant::Implicit), Just(Variant::EveryObject)]
+}
+
+fn validity() -> impl Strategy<Value = Validity> {
+    let ms = Duration::from_millis;
+    prop_oneof![
+        (0..3_000u64).prop_map(move |period| Validity::Fixed(ms(period))),
+        Just(Validity::Adaptive { first: ms(100), shortest: ms(50), longest: ms(60_000) }),
+        Just(Validity::Exact { longest: ms(60_000) }),
+    ]
+}
+
+fn shape() -> impl Strategy<Value = TbvShape> {
+    prop_oneof![
+        4 => Just(TbvShape::SpeedSphere),
+        2 => Just(TbvShape::Box),
+        1 => Just(TbvShape::Swept { pieces: 3 }),
+        1 => Just(TbvShape::Everywhere),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn shows_what_is_in_sight_whatever_happens(
+        events in prop::collection::vec(event(), 1..150), variant in variant(), validity in validity(), shape in shape()
+    ) {
+        let (mut tracker, mut line) = (tracker(variant, validity), Line { shape: Some(shape), ..Line::default() });
+        let (mut now, mut wall) = (WorldTime::ZERO, 3.0);
+        let mut absent: BTreeMap<u32, u32> = BTreeMap::new();
+        for (number, event) in (0u32..).zip(events) {
+            match event {
+                Event::Join(object, x) => {
+                    line.places.insert(object, x);
+                    tracker.insert(object);
+                    absent.remove(&object);
+                }
+                Event::Leave(object) => {
+                    prop_assert_eq!(tracker.remove(object), line.places.remove(&object).is_some());
+                    absent.remove(&object);
+                }
+                Event::Violate(object, x) => {
+                    if let Some(place) = line.places.get_mut(&object) {
+                        *place = x;
+                    }
+                    tracker.handle_violation(object);
+                }
+                Event::Jump(frames) => now = now.offset_micros(frames * FRAME.as_micros() as i64),
+                Event::Frame(moved, wall_moved) => {
+                    now = now + FRAME;
+                    wall += wall_moved;
+                    for (object, x) in &mut line.places {
+                        // Not all the same way.
+                        let sign = if (object + number) % 3 == 0 { -1.0 } else { 1.0 };
+                        *x += sign * moved * SPEED * FRAME.as_secs_f64();
+                    }
+                }
+            }
+            tracker.check();
+            let (shown, _) = frame(&mut tracker, &mut line, now, wall);
+            let in_sight: Vec<u32> =
+                line.places.keys().copied().filter(|&object| !Wall(wall).hides(&line.bound(object))).collect();
+            match variant {
+                Variant::Implicit => {
+                    let missing: Vec<u32> = in_sight.iter().copied().filter(|object| !shown.contains(object)).collect();
+                    absent.retain(|object, _| missing.contains(object));
+                    for object in missing {
+                        let running = absent.entry(object).or_insert(0);
+                        *running += 1;
+                        prop_assert!(*running <= 1, "object {} absent twice running", object);
+                    }
+                }
+                _ => prop_assert_eq!(shown, in_sight),
+            }
+        }
+        for object in line.places.keys() {
+            tracker.remove(*object);
+        }
+        tracker.check();
+        prop_assert_eq!(tracker.counts(), (0, 0));
+        prop_assert_eq!((tracker.index.len(), tracker.queue.len()), (0, 0));
+    }
+}
+
+fn still_line(count: u32, from: f64) -> Line {
+    Line { places: (0..count).map(|object| (object, from + f64::from(object) * 0.01)).collect(), ..Line::default() }
+}
+
+#[test]
+fn hidden_objects_cost_nothing_between_their_expiries() {
+    let validity = Validity::Fixed(Duration::from_secs(2));
+    let mut line = still_line(500, 30.0);
+    let mut tracker = tracker(Variant::Explicit, validity);
+    (0..500).for_each(|object| tracker.insert(object));
+    let now = |number: i64| WorldTime::from_micros(number * FRAME.as_micros() as i64);
+    let (_, first) = frame(&mut tracker, &mut line, now(0), 0.0);
+    assert_eq!((first.updates, first.bounds, first.shown), (500, 500, 0));
+    for number in 1..40 {
+        let (_, stats) = frame(&mut tracker, &mut line, now(number), 0.0);
+        assert_eq!((stats.updates, stats.bounds, stats.exposed), (0, 0, 0), "frame {number}");
+        assert!(stats.work < 10, "{} in frame {number}", stats.work);
+    }
+    let (_, expired) = frame(&mut tracker, &mut line, now(40), 0.0);
+    assert_eq!((expired.expired, expired.updates, expired.bounds), (500, 500, 500), "all together");
+}
+
+#[test]
+fn implicit_updates_spare_visible_objects_and_may_be_a_frame_late() {
+    let validity = Validity::Fixed(Duration::from_millis(100));
+    let (mut explicit, mut implicit) = (tracker(Variant::Explicit, validity), tracker(Variant::Implicit, validity));
+    let mut line = still_line(1, 0.0);
+    explicit.insert(0);
+    implicit.insert(0);
+    let mut late = 0;
+    for number in 0..200 {
+        let now = WorldTime::from_micros(number * FRAME.as_micros() as i64);
+        // The wall follows the object so closely that T's old place for it is hidden at times.
+        line.places.insert(0, -0.02 * number as f64);
+        let wall = line.places[&0] + if number % 20 == 10 { -0.49 } else { 0.5 };
+        let (by_explicit, explicit_stats) = frame(&mut explicit, &mut line, now, wall);
+        let (by_implicit, implicit_stats) = frame(&mut implicit, &mut line, now, wall);
+        assert_eq!(by_explicit, [0]);
+        late += u32::from(by_implicit.is_empty());
+        assert!(implicit_stats.work <= explicit_stats.work + 8);
+    }
+    assert!((1..40).contains(&late), "{late}");
+}
+
+#[test]
+fn adaptive_periods_find_a_length_that_neither_expires_nor_exposes_all_the_time() {
+    let ms = Duration::from_millis;
+    let messages = |validity| {
+        let (mut line, mut tracker) = (still_line(20, 10.0), tracker(Variant::Explicit, validity));
+        (0..20).for_each(|object| tracker.insert(object));
+        let mut total = 0;
+        for number in 0..2_000 {
+            let now = WorldTime::from_micros(number * FRAME.as_micros() as i64);
+            let (_, stats) = frame(&mut tracker, &mut line, now, 0.0);
+            total += stats.updates + stats.bounds;
+        }
+        total
+    };
+    let adaptive = messages(Validity::Adaptive { first: ms(50), shortest: ms(50), longest: ms(600_000) });
+    // 10 m at 2 m/s: a bound of 5 s is about to be seen, one of 10 s is seen at once.
+    let (short, long) = (messages(Validity::Fixed(ms(200))), messages(Validity::Fixed(ms(10_000))));
+    let exact = messages(Validity::Exact { longest: ms(600_000) });
+    assert!(adaptive * 5 < short && adaptive * 5 < long, "{adaptive} against {short} and {long}");
+    assert!(exact < adaptive, "{exact} against {adaptive}");
+}
