@@ -6,9 +6,17 @@
 //! events put it back grown further while it stays hidden. Only an exposed bound, or one at its expiry, costs a request.
 
 mod config;
+mod expiry;
+mod fuzzy;
+mod shape;
 mod stats;
 mod tracker;
+mod validity;
 
 pub use config::{Growth, Sabotage, TrackerConfig};
+pub use expiry::ExpiryQueue;
+pub use fuzzy::{FuzzyError, FuzzySpeeds, broken};
+pub use shape::{MotionLimits, MotionState, PIECES_MAX, Path, TbvShape, TemporalBound, Trajectory};
 pub use stats::TrackerStats;
 pub use tracker::{Drawn, Tracker};
+pub use validity::{Period, Validity};
