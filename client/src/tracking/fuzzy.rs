@@ -255,7 +255,7 @@ mod tests {
         (0..seconds * 10)
             .map(|i| {
                 if left == 0 {
-                    left = rng.random_range(5..80);
+                    left = rng.random_range(5..30);
                     let angle = rng.random_range(0.0..std::f64::consts::TAU);
                     let speed = if rng.random_bool(0.3) { 0.0 } else { rng.random_range(0.4..2.0) };
                     velocity = DVec3::new(angle.cos(), 0.0, angle.sin()) * speed;
@@ -301,8 +301,8 @@ mod tests {
 
     #[test]
     fn a_one_percent_bound_is_broken_by_about_one_percent_of_others_than_it_was_learned_from() {
-        let tracks = walkers(1, 480);
-        let (learned, tried) = tracks.split_at(240);
+        let tracks = walkers(1, 800);
+        let (learned, tried) = tracks.split_at(400);
         let speeds = calibrated(learned, 0.01);
         // On rungs and between them.
         for millis in [100, 400, 1000, 2300, 5000, 7700] {
