@@ -199,7 +199,7 @@ pub enum StartError {
 }
 
 /// Whether each moving node's mesh stays within its class's cylinder at every turn about the vertical: what sticks out of
-/// it would be hidden while in sight.
+/// it would be hidden while in sight. Of one that deforms only a ball is known that holds every pose.
 fn check_extents(file: &str, scene: &Scene, spec: &WorldSpec) -> Result<(), ModelError> {
     let classes: BTreeMap<&str, &ClassSpec> = spec.classes.iter().map(|class| (class.name.as_str(), class)).collect();
     let meshes: BTreeMap<&str, _> = scene.objects().iter().map(|mesh| (mesh.name.as_str(), mesh)).collect();
@@ -209,9 +209,14 @@ fn check_extents(file: &str, scene: &Scene, spec: &WorldSpec) -> Result<(), Mode
         let (Some(class), Some(mesh)) = (classes.get(object.class.as_str()), meshes.get(node)) else { continue };
         let corners = || mesh.triangles.iter().flat_map(|triangle| triangle.corners).map(|corner| corner.as_dvec3());
         let most = |values: &mut dyn Iterator<Item = f64>| values.fold(f64::NEG_INFINITY, f64::max);
-        let radius = most(&mut corners().map(|corner| corner.x.hypot(corner.z)));
-        let (top, bottom) =
-            (most(&mut corners().map(|corner| corner.y)), -most(&mut corners().map(|corner| -corner.y)));
+        let (radius, top, bottom) = if mesh.deforms {
+            // Its triangles are one pose of many.
+            (mesh.reach, mesh.reach, -mesh.reach)
+        } else {
+            let radius = most(&mut corners().map(|corner| corner.x.hypot(corner.z)));
+            let top = most(&mut corners().map(|corner| corner.y));
+            (radius, top, -most(&mut corners().map(|corner| -corner.y)))
+        };
         for (what, mesh, given, fits) in [
             ("radius", radius, class.radius, radius <= class.radius + ROUNDING_METRES),
             ("top", top, class.top, top <= class.top + ROUNDING_METRES),
@@ -279,4 +284,67 @@ fn spec_of_extras(file: &str, scene: &Scene, stats: &LoadStats) -> Result<WorldS
         });
     }
     Ok(spec)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A chair of one triangle, 1 m high; in an animation, if it has one, it goes up to `lifted` metres.
+    fn chair(lifted: Option<f32>) -> Vec<u8> {
+        let numbers =
+            [[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, lifted.unwrap_or(0.0) - 1.0, 0.0]];
+        let mut binary: Vec<u8> = numbers.iter().flatten().flat_map(|number: &f32| number.to_le_bytes()).collect();
+        binary.extend([0.0f32, 1.0].iter().flat_map(|time| time.to_le_bytes()));
+        let mut json = serde_json::json!({
+            "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
+            "nodes": [{"name": "chair", "children": [1]}, {"mesh": 0}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+            "buffers": [{"byteLength": binary.len()}],
+            "bufferViews": [{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 24},
+                {"buffer": 0, "byteOffset": 60, "byteLength": 8}],
+            "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3},
+                {"bufferView": 1, "componentType": 5126, "type": "VEC3", "count": 2},
+                {"bufferView": 2, "componentType": 5126, "type": "SCALAR", "count": 2}],
+        });
+        if lifted.is_some() {
+            json["animations"] = serde_json::json!([{"samplers": [{"input": 2, "output": 1}],
+                "channels": [{"sampler": 0, "target": {"node": 1, "path": "translation"}}]}]);
+        }
+        let mut text = json.to_string().into_bytes();
+        text.resize(text.len().next_multiple_of(4), b' ');
+        let mut bytes = b"glTF\x02\0\0\0".to_vec();
+        bytes.extend((28 + text.len() as u32 + binary.len() as u32).to_le_bytes());
+        for (kind, chunk) in [(b"JSON", &text), (b"BIN\0", &binary)] {
+            bytes.extend((chunk.len() as u32).to_le_bytes());
+            bytes.extend(kind);
+            bytes.extend(chunk);
+        }
+        bytes
+    }
+
+    fn load(lifted: Option<f32>, class: ClassSpec) -> Result<Model, ModelError> {
+        let object = ObjectSpec {
+            name: "chair".into(),
+            class: class.name.clone(),
+            node: None,
+            position: [0.0; 3],
+            heading: 0.0,
+            path: None,
+        };
+        let spec = WorldSpec { classes: vec![class], objects: vec![object], ..WorldSpec::default() };
+        Model::from_bytes(chair(lifted), "w.glb", Some(spec))
+    }
+
+    #[test]
+    fn a_class_must_hold_its_meshes_in_every_pose() {
+        let class = |radius, bottom, top| ClassSpec { name: "chair".into(), radius, bottom, top, speed_max: 1.0 };
+        assert!(load(None, class(0.4, 0.0, 1.0)).is_ok());
+        let error = load(None, class(0.4, 0.0, 0.9)).err().unwrap().to_string();
+        assert!(error.contains("top = 1.0000"), "{error}");
+        // Lifted by 2 m it reaches 3 m up.
+        let error = load(Some(3.0), class(0.4, 0.0, 1.0)).err().unwrap().to_string();
+        assert!(error.contains("radius = 3.0"), "{error}");
+        assert!(load(Some(3.0), class(3.1, -3.1, 3.1)).is_ok());
+    }
 }

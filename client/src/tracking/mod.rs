@@ -4,11 +4,22 @@
 //! of stage ends and expiries, **V** the set of (potentially) visible objects. Beyond the paper the client chooses
 //! validity *without messages*: a bound from the wire grows with time, T holds it grown to the end of a stage, and Q's
 //! events put it back grown further while it stays hidden. Only an exposed bound, or one at its expiry, costs a request.
+//!
+//! Where objects are at hand instead of behind a wire, a [`TemporalBound`] is made from what is known of their motion, for as long
+//! as a [`Validity`] says; [`FuzzySpeeds`] stand in for limits that are unknown or loose (§3.2, §3.4, §3.5).
 
 mod config;
+mod expiry;
+mod fuzzy;
+mod shape;
 mod stats;
 mod tracker;
+mod validity;
 
 pub use config::{Growth, Sabotage, TrackerConfig};
+pub use expiry::ExpiryQueue;
+pub use fuzzy::{FuzzyError, FuzzySpeeds, broken};
+pub use shape::{MotionLimits, MotionState, PIECES_MAX, Path, TbvShape, TemporalBound, Trajectory};
 pub use stats::TrackerStats;
 pub use tracker::{Drawn, Tracker};
+pub use validity::{Period, Validity};

@@ -9,7 +9,7 @@ use eyeline_protocol::{
 use eyeline_visibility::{Bound, DynamicIndex, Occlusion};
 use glam::DVec3;
 
-use super::{Growth, Sabotage, TrackerConfig, TrackerStats};
+use super::{ExpiryQueue, Growth, Sabotage, TrackerConfig, TrackerStats};
 
 /// Something that the client shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,8 +102,8 @@ pub struct Tracker {
     entries: BTreeMap<ObjectId, Entry>,
     /// T.
     index: Box<dyn DynamicIndex + Send>,
-    /// Q.
-    queue: BTreeSet<(WorldTime, ObjectId)>,
+    /// Q. Exact, since a stage that ends earlier than was said would be tested earlier than was said.
+    queue: ExpiryQueue<ObjectId>,
     /// V.
     visible: BTreeSet<ObjectId>,
     /// Objects that an answer is awaited for.
@@ -119,6 +119,7 @@ pub struct Tracker {
     /// Objects with a question that is to be said next, in order. Those whose question has gone are passed over.
     unsaid: VecDeque<ObjectId>,
     exposed: Vec<u32>,
+    expired: Vec<ObjectId>,
     /// Latest possible server time at the newest frame.
     latest: WorldTime,
     /// Greatest round trip lately, for the decision whether two fit in a frame and for what silence means.
@@ -143,7 +144,7 @@ impl Tracker {
             classes,
             entries: BTreeMap::new(),
             index,
-            queue: BTreeSet::new(),
+            queue: ExpiryQueue::new(Duration::ZERO),
             visible: BTreeSet::new(),
             asked: BTreeSet::new(),
             asks: 0,
@@ -152,6 +153,7 @@ impl Tracker {
             out: VecDeque::new(),
             unsaid: VecDeque::new(),
             exposed: Vec::new(),
+            expired: Vec::new(),
             latest: WorldTime::MIN,
             round_trip: None,
             timeout: Duration::from_secs(1),
@@ -233,9 +235,11 @@ impl Tracker {
     /// Acts on bounds that came since the newest frame, whose `occlusion` this is, instead of at the next one: what has
     /// just come into the world may be in sight.
     pub fn handle_news(&mut self, occlusion: &dyn Occlusion) {
-        while let Some(&(WorldTime::MIN, object)) = self.queue.first() {
+        let mut new = self.take_due(WorldTime::MIN);
+        for object in new.drain(..) {
             self.settle(object, occlusion);
         }
+        self.expired = new;
         self.debug_check();
     }
 
@@ -445,17 +449,16 @@ impl Tracker {
             return;
         }
         // Step 1: stages and bounds whose time is up, as Q tells.
-        while let Some(&(due, object)) = self.queue.first() {
-            if due > self.latest {
-                break;
+        while let Some(due) = self.queue.next_due().filter(|&due| due <= self.latest) {
+            let mut expired = self.take_due(due);
+            for object in expired.drain(..) {
+                if let Some(entry) = self.entries.get_mut(&object) {
+                    entry.stage_frames = (entry.stage_frames * 2).min(self.config.stage_frames_max);
+                }
+                self.stats.stages += 1;
+                self.settle(object, occlusion);
             }
-            self.queue.pop_first();
-            if let Some(entry) = self.entries.get_mut(&object) {
-                entry.due = None;
-                entry.stage_frames = (entry.stage_frames * 2).min(self.config.stage_frames_max);
-            }
-            self.stats.stages += 1;
-            self.settle(object, occlusion);
+            self.expired = expired;
         }
         // Step 3: what of T can be seen. (Step 2, the update of visible objects, is the server's push.)
         let mut exposed = std::mem::take(&mut self.exposed);
@@ -472,6 +475,21 @@ impl Tracker {
         // Step 4: what of V can't be seen any more.
         self.let_go(occlusion, now);
         self.debug_check();
+    }
+
+    /// Takes out of Q what is due by `due`. In the order of ids, on which the order of questions depends: what falls together
+    /// lies in Q as it came.
+    fn take_due(&mut self, due: WorldTime) -> Vec<ObjectId> {
+        let mut expired = std::mem::take(&mut self.expired);
+        expired.clear();
+        self.queue.expire(due, &mut expired);
+        expired.sort_unstable();
+        for object in &expired {
+            if let Some(entry) = self.entries.get_mut(object) {
+                entry.due = None;
+            }
+        }
+        expired
     }
 
     /// Tests each object of V where it may be by now.
@@ -577,7 +595,7 @@ impl Tracker {
         entry.belief = Belief::Hidden(tbv);
         entry.stage_frames = entry.stage_frames.clamp(1, 8);
         entry.due = Some(WorldTime::MIN);
-        self.queue.insert((WorldTime::MIN, object));
+        self.queue.insert(object, WorldTime::MIN);
     }
 
     /// Finds the longest stage for which a held bound is hidden and puts it into T and Q so; asks if it is exposed
@@ -647,7 +665,7 @@ impl Tracker {
 
     fn keep(&mut self, object: ObjectId, bound: Bound, due: WorldTime) {
         self.index.insert(object.0, bound);
-        self.queue.insert((due, object));
+        self.queue.insert(object, due);
         if let Some(entry) = self.entries.get_mut(&object) {
             entry.due = Some(due);
         }
@@ -697,9 +715,9 @@ impl Tracker {
     fn leave_t_and_q(&mut self, object: ObjectId) {
         self.index.remove(object.0);
         if let Some(entry) = self.entries.get_mut(&object)
-            && let Some(due) = entry.due.take()
+            && entry.due.take().is_some()
         {
-            self.queue.remove(&(due, object));
+            self.queue.cancel(object);
         }
     }
 
@@ -802,7 +820,7 @@ impl Tracker {
             );
             if let Some(due) = entry.due {
                 in_queue += 1;
-                assert!(self.queue.contains(&(due, *object)), "{object}: not in Q");
+                assert_eq!(self.queue.due(*object), Some(due), "{object}: not in Q");
                 assert!(matches!(entry.belief, Belief::Hidden(_)), "{object}: in Q but not hidden");
                 assert!(entry.ask.is_none(), "{object}: in Q though asked for");
             } else if matches!(entry.belief, Belief::Hidden(_) | Belief::Unknown) && self.tracking {

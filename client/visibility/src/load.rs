@@ -4,12 +4,14 @@
 //! anything is stored, so a bad file costs an error and never a panic, a hang or much memory. The crate `gltf` reads the
 //! container and the description; its accessor iterators, which trust the file, are not used.
 //!
-//! Skinned and morphed meshes are loaded as modelled (the bind pose, no morph target), where their node stands.
+//! Skinned and morphed meshes are loaded as modelled (the bind pose, no morph target), where their node stands. Of what moves
+//! it is also told how far it reaches in every other pose ([`ObjectMesh::reach`]).
 
 mod accessor;
 mod buffers;
 mod error;
 mod pack;
+mod reach;
 #[cfg(test)]
 mod tests;
 
@@ -31,6 +33,7 @@ use gltf::json::{
 use self::{
     accessor::{Elements, Source},
     buffers::Bytes,
+    reach::Reach,
 };
 pub use self::{error::LoadError, pack::pack_glb};
 use crate::{Aabb, Node, ObjectMesh, Scene, Sides, Triangle};
@@ -177,7 +180,8 @@ fn load(
     let mut loader = Loader { source, options, transparent, meshes: BTreeMap::new(), stats: LoadStats::default() };
     let instances = loader.instances()?;
     let (anchor, triangles) = loader.anchor(&instances)?;
-    let scene = loader.build(&instances, anchor, triangles);
+    let reaches = loader.reaches(&instances)?;
+    let scene = loader.build(&instances, &reaches, anchor, triangles);
     Ok((scene, loader.stats))
 }
 
@@ -217,6 +221,8 @@ struct Mesh<'a> {
 }
 
 struct Primitive<'a> {
+    /// Its index in the file's mesh.
+    at: usize,
     positions: Elements<'a>,
     indices: Option<Elements<'a>>,
     mode: Mode,
@@ -456,7 +462,7 @@ impl<'a> Loader<'a> {
             };
             occludes = mode == AlphaMode::Opaque && !self.transparent.contains(&index);
         }
-        Ok(Some(Primitive { positions, indices, mode, triangles, sides, occludes }))
+        Ok(Some(Primitive { at, positions, indices, mode, triangles, sides, occludes }))
     }
 
     /// Refuses corners that are out of range or not finite.
@@ -517,7 +523,13 @@ impl<'a> Loader<'a> {
     }
 
     /// The scene, all checks done.
-    fn build(&mut self, instances: &[Instance], anchor: DVec3, static_triangles: usize) -> Scene {
+    fn build(
+        &mut self,
+        instances: &[Instance],
+        reaches: &BTreeMap<usize, Reach>,
+        anchor: DVec3,
+        static_triangles: usize,
+    ) -> Scene {
         let name = |node: usize| self.source.root.nodes[node].name.clone().unwrap_or_default();
         let mut triangles: Vec<Triangle> = Vec::with_capacity(static_triangles);
         let mut nodes = Vec::new();
@@ -527,7 +539,8 @@ impl<'a> Loader<'a> {
             if instance.mover == Some(instance.node) {
                 object_of.insert(instance.node, objects.len());
                 let origin = instance.world_from_local.w_axis.truncate() - anchor;
-                objects.push(ObjectMesh { name: name(instance.node), origin, triangles: Vec::new() });
+                let Reach { radius: reach, deforms } = reaches.get(&instance.node).copied().unwrap_or_default();
+                objects.push(ObjectMesh { name: name(instance.node), origin, triangles: Vec::new(), reach, deforms });
             }
             match instance.mover {
                 Some(mover) => {
@@ -544,6 +557,11 @@ impl<'a> Loader<'a> {
                     }
                 }
             }
+        }
+        for object in &mut objects {
+            // Corners were rounded to f32.
+            let corners = object.triangles.iter().flat_map(|triangle| triangle.corners);
+            object.reach = corners.map(|corner| corner.as_dvec3().length()).fold(object.reach, f64::max);
         }
         let all = triangles.iter().chain(objects.iter().flat_map(|object| &object.triangles));
         self.stats.zero_area = all.filter(|triangle| has_zero_area(triangle)).count();

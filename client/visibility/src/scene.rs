@@ -65,6 +65,12 @@ pub struct ObjectMesh {
     pub origin: DVec3,
     /// Triangles relative to that origin, turned and scaled as in the file.
     pub triangles: Vec<Triangle>,
+    /// Radius in metres about that origin that holds the mesh at every turn, in every pose of every animation of the file
+    /// and in every mixture of them, whatever morph targets are weighted with from 0 to 1 or as animated. Without poses
+    /// it is the distance of the farthest corner. Joints that are not below the node count as moving with it.
+    pub reach: f64,
+    /// Whether it has poses other than that of its triangles: it is skinned, morphed, or animated in itself.
+    pub deforms: bool,
 }
 
 /// A static scene. Never changes once made, so that thousands of clients can share one.

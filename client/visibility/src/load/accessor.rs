@@ -26,6 +26,8 @@ pub(super) struct Source<'a> {
 pub(super) struct Elements<'a> {
     pub(super) count: usize,
     component: ComponentType,
+    /// Numbers in an element.
+    width: usize,
     normalized: bool,
     /// `None` is all zeros, which only sparse accessors may be.
     base: Option<Strided<'a>>,
@@ -63,6 +65,15 @@ impl<'a> Source<'a> {
         let elements = self.elements(index, accessor, Type::Scalar)?;
         if !matches!(elements.component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32) {
             return Err(self.error(index, format!("indices of type {:?}; use u8, u16 or u32", elements.component)));
+        }
+        Ok(elements)
+    }
+
+    /// The elements of accessor `index`, which must be of `shape`. Matrices must be of f32: shorter columns are padded.
+    pub(super) fn numbers(&self, index: usize, from: &str, shape: Type) -> Result<Elements<'a>, LoadError> {
+        let elements = self.elements(index, self.accessor(index, from)?, shape)?;
+        if shape == Type::Mat4 && elements.component != ComponentType::F32 {
+            return Err(self.error(index, format!("matrices of type {:?}; use f32", elements.component)));
         }
         Ok(elements)
     }
@@ -116,7 +127,7 @@ impl<'a> Source<'a> {
             None => None,
         };
         let count = usize::try_from(count).map_err(|_| error(format!("claims {count} elements")))?;
-        Ok(Elements { count, component, normalized: accessor.normalized, base, sparse })
+        Ok(Elements { count, component, width: shape.multiplicity(), normalized: accessor.normalized, base, sparse })
     }
 
     /// `count` elements of `size` bytes from `offset` on in buffer view `view`, if they are all there.
@@ -167,7 +178,7 @@ impl<'a> Source<'a> {
         Ok(Strided { bytes, stride })
     }
 
-    fn error(&self, accessor: usize, reason: String) -> LoadError {
+    pub(super) fn error(&self, accessor: usize, reason: String) -> LoadError {
         LoadError::Accessor { file: self.file.into(), accessor, reason }
     }
 }
@@ -183,6 +194,24 @@ impl<'a> Elements<'a> {
         let size = self.component.size();
         let Some(bytes) = self.bytes(i, 3 * size) else { return [0.0; 3] };
         std::array::from_fn(|axis| number(self.component, self.normalized, &bytes[axis * size..]))
+    }
+
+    /// Number `axis` of element `i`.
+    pub(super) fn number(&self, i: usize, axis: usize) -> f64 {
+        let size = self.component.size();
+        let bytes = self.bytes(i, self.width * size);
+        bytes.map_or(0.0, |bytes| number(self.component, self.normalized, &bytes[axis * size..]))
+    }
+
+    /// Number `axis` of element `i`, of an unsigned type.
+    pub(super) fn whole(&self, i: usize, axis: usize) -> u32 {
+        let size = self.component.size();
+        self.bytes(i, self.width * size).map_or(0, |bytes| unsigned(self.component, &bytes[axis * size..]))
+    }
+
+    /// What the elements are made of.
+    pub(super) fn component_type(&self) -> ComponentType {
+        self.component
     }
 
     /// Vertex index `i`.

@@ -138,6 +138,17 @@ pub enum LoadError {
         /// The limit.
         limit: u32,
     },
+    /// Poses of what moves would take too long to look at.
+    #[error(
+        "{file}: what moves has more vertices, morph targets and keyframes than {triangles_max} triangles allow to look at; \
+         raise `triangles_max`"
+    )]
+    TooManyPoses {
+        /// The file.
+        file: String,
+        /// The limit that this one follows.
+        triangles_max: u32,
+    },
     /// The world is too wide for positions relative to one anchor.
     #[error("{file}: the world is {width_km:.0} km wide, but at most 2000 km are allowed; split it or mend its units")]
     TooWide {
