@@ -11,6 +11,7 @@
 mod config;
 mod expiry;
 mod fuzzy;
+mod scene_tracker;
 mod shape;
 mod stats;
 mod tracker;
@@ -19,6 +20,7 @@ mod validity;
 pub use config::{Growth, Sabotage, TrackerConfig};
 pub use expiry::ExpiryQueue;
 pub use fuzzy::{FuzzyError, FuzzySpeeds, broken};
+pub use scene_tracker::{Agents, FrameInput, FrameStats, Image, SceneTracker, Variant};
 pub use shape::{MotionLimits, MotionState, PIECES_MAX, Path, TbvShape, TemporalBound, Trajectory};
 pub use stats::TrackerStats;
 pub use tracker::{Drawn, Tracker};

@@ -203,6 +203,7 @@ impl SceneTracker {
         self.entries.insert(object, entry);
         self.visible.insert(object);
         self.debug_check(object);
+        self.debug_check_sums();
     }
 
     /// An object exists no more. Returns whether it did.
@@ -213,6 +214,7 @@ impl SceneTracker {
         self.violated.remove(&object);
         let was_there = self.entries.remove(&object).is_some();
         self.debug_check(object);
+        self.debug_check_sums();
         was_there
     }
 
@@ -254,6 +256,7 @@ impl SceneTracker {
             self.hide(&input, agents, image.occlusion(), &expired, &exposed, &told, &mut stats);
         }
         stats.work += self.index.update_visits() - visits;
+        self.debug_check_sums();
         stats
     }
 
@@ -482,13 +485,13 @@ impl SceneTracker {
     fn debug_check(&self, object: u32) {
         if cfg!(debug_assertions) {
             self.check_object(object);
-            assert_eq!(
-                self.queue.len() + self.visible.len(),
-                self.entries.len(),
-                "an object is in Q or in V, and in one of them"
-            );
-            assert_eq!(self.owners.len() - self.free.len(), self.index.len(), "T has the keys in use");
         }
+    }
+
+    /// The sums, after each call from outside: while bounds expire, Q has lost all of them and V gets one after the other.
+    fn debug_check_sums(&self) {
+        debug_assert_eq!(self.queue.len() + self.visible.len(), self.entries.len(), "an object is in Q or in V");
+        debug_assert_eq!(self.owners.len() - self.free.len(), self.index.len(), "T has the keys in use");
     }
 
     fn check_object(&self, object: u32) {
