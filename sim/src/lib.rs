@@ -10,6 +10,7 @@ pub mod report;
 pub mod scene;
 pub mod stage;
 pub mod trace;
+pub mod track;
 pub mod virtual_net;
 
 /// A seeded source of chance for one purpose. Each purpose has its own stream, so that taking one draw more for chairs

@@ -1,0 +1,3 @@
+//! Trackers, cullers and their structures without a network.
+
+pub mod lca;
