@@ -4,13 +4,17 @@
 //! whole image down; what is hidden is left with all that it contains, and leaves that are not hidden are drawn. It is
 //! Sudarsky & Gotsman's 𝒜 too (1999, §4), whose dynamic half is [`crate::DynamicOctree`] here. Greene's first drawing of what
 //! was visible in the frame before is left out: cullers know nothing of other frames.
+//!
+//! When the walk is over, the pyramid answers for moving bounds too, and moving things may be drawn into it.
 
+use std::cell::Cell;
 use std::sync::Arc;
 
 use crate::culler::everything;
 use crate::raster_sampled::{BoxImage, BoxPlace, TILE};
 use crate::{
-    Aabb, Culled, Culler, DepthBuffer, EyeRegion, Octree, OctreeRules, Scene, Scratch, Tessellation, Traversal, View,
+    Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, Octree, OctreeRules, Scene, Scratch, Tessellation,
+    Traversal, Triangle, View,
 };
 
 /// An octree against a Z-pyramid. An eye region that is not the view's eye gets everything.
@@ -36,24 +40,61 @@ impl HierarchicalZ {
 
 impl Culler for HierarchicalZ {
     fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
-        if !scratch.begin(view, region) {
-            return everything(&self.scene);
-        }
-        let Scratch { depth, leaves, pyramid, .. } = scratch;
+        let Some((image, leaves)) = scratch.begin_pyramid(view, region) else { return everything(&self.scene) };
         leaves.begin(&*self.octree);
-        pyramid.begin(depth);
         let mut traversal = Traversal::default();
         self.octree.front_to_back(view.eye, |aabb, leaf| {
             traversal.queries += 1;
-            let seen = pyramid.sees(depth, aabb);
+            let seen = image.sees(aabb);
             if let (true, Some(cell)) = (seen, leaf) {
                 traversal.cells_projected += 1;
-                depth.draw(&self.scene, leaves.project(&*self.octree, cell));
-                pyramid.mark_drawn(depth);
+                let primitives = leaves.project(&*self.octree, cell);
+                image.draw(primitives.iter().map(|&id| &self.scene.triangles()[id as usize]));
             }
             seen
         });
-        leaves.finish(traversal, depth.z_tests())
+        leaves.finish(traversal, image.depth.z_tests())
+    }
+}
+
+/// A depth buffer and the pyramid over it.
+///
+/// As an [`Occlusion`] it speaks for the view it was made for and its pixel centres only, as a [`DepthBuffer`] does, and
+/// hides no less: a box is asked about by its silhouette and the planes of its faces, other bounds by the box around them.
+#[derive(Clone, Debug)]
+pub(crate) struct PyramidImage {
+    depth: DepthBuffer,
+    pyramid: ZPyramid,
+}
+
+impl PyramidImage {
+    /// An empty image of a view.
+    pub(crate) fn new(view: &View) -> PyramidImage {
+        let mut image = PyramidImage { depth: DepthBuffer::new(view), pyramid: ZPyramid::default() };
+        image.pyramid.begin(&image.depth);
+        image
+    }
+
+    /// Forgets everything and starts an image of another view.
+    pub(crate) fn begin(&mut self, view: &View) {
+        self.depth.begin(view);
+        self.pyramid.begin(&self.depth);
+    }
+
+    /// Draws those of the triangles that occlude.
+    pub(crate) fn draw<'a>(&mut self, triangles: impl IntoIterator<Item = &'a Triangle>) {
+        self.depth.draw_triangles(triangles);
+        self.pyramid.mark_drawn(&mut self.depth);
+    }
+
+    fn sees(&self, aabb: &Aabb) -> bool {
+        self.pyramid.sees(&self.depth, aabb)
+    }
+}
+
+impl Occlusion for PyramidImage {
+    fn hides(&self, bound: &Bound) -> bool {
+        bound.aabb().is_some_and(|aabb| !self.sees(&aabb))
     }
 }
 
@@ -72,8 +113,8 @@ pub(crate) struct ZPyramid {
 struct Level {
     columns: usize,
     rows: usize,
-    farthest: Vec<f32>,
-    stale: Vec<bool>,
+    farthest: Vec<Cell<f32>>,
+    stale: Vec<Cell<bool>>,
 }
 
 impl ZPyramid {
@@ -89,9 +130,9 @@ impl ZPyramid {
             let Level { columns: c, rows: r, farthest, stale } = &mut self.levels[level];
             (*c, *r) = (columns, rows);
             farthest.clear();
-            farthest.resize(columns * rows, 0.0);
+            farthest.resize(columns * rows, Cell::new(0.0));
             stale.clear();
-            stale.resize(columns * rows, false);
+            stale.resize(columns * rows, Cell::new(false));
             level += 1;
         }
         self.levels.truncate(level);
@@ -104,13 +145,14 @@ impl ZPyramid {
             drawn = drawn.map(|at| at / 2);
             let [left, right, top, bottom] = drawn;
             for row in top..=bottom {
-                level.stale[row * level.columns + left..=row * level.columns + right].fill(true);
+                let stale = &level.stale[row * level.columns + left..=row * level.columns + right];
+                stale.iter().for_each(|stale| stale.set(true));
             }
         }
     }
 
     /// Whether any point of the box may be seen past what was drawn. Rounds outward.
-    pub(crate) fn sees(&mut self, depth: &DepthBuffer, aabb: &Aabb) -> bool {
+    pub(crate) fn sees(&self, depth: &DepthBuffer, aabb: &Aabb) -> bool {
         match depth.box_place(aabb) {
             BoxPlace::Outside => false,
             BoxPlace::Touching => true,
@@ -119,7 +161,7 @@ impl ZPyramid {
     }
 
     /// Whether any of the box may be seen within a square: a tile at level 0, else one of `levels[level - 1]`.
-    fn sees_below(&mut self, depth: &DepthBuffer, image: &BoxImage, level: usize, column: usize, row: usize) -> bool {
+    fn sees_below(&self, depth: &DepthBuffer, image: &BoxImage, level: usize, column: usize, row: usize) -> bool {
         // The part of the square that the box's rectangle covers, in pixels.
         let side = TILE << level;
         let within = |range: [i32; 2], at: usize| {
@@ -133,9 +175,8 @@ impl ZPyramid {
             return depth.tile_farthest(column, row) <= z && (y[0]..=y[1]).any(|y| sees_in_row(depth, image, x, y));
         }
         let at = row * self.levels[level - 1].columns + column;
-        if self.levels[level - 1].farthest[at] > z
-            || (self.levels[level - 1].stale[at] && self.refresh(depth, level, column, row) > z)
-        {
+        let Level { farthest, stale, .. } = &self.levels[level - 1];
+        if farthest[at].get() > z || (stale[at].get() && self.refresh(depth, level, column, row) > z) {
             return false;
         }
         let [columns, rows] = self.size(depth, level - 1);
@@ -146,12 +187,13 @@ impl ZPyramid {
     }
 
     /// Finds a value again.
-    fn refresh(&mut self, depth: &DepthBuffer, level: usize, column: usize, row: usize) -> f32 {
+    fn refresh(&self, depth: &DepthBuffer, level: usize, column: usize, row: usize) -> f32 {
         if level == 0 {
             return depth.tile_farthest(column, row);
         }
         let at = row * self.levels[level - 1].columns + column;
-        if self.levels[level - 1].stale[at] {
+        let Level { farthest: known, stale, .. } = &self.levels[level - 1];
+        if stale[at].replace(false) {
             let [columns, rows] = self.size(depth, level - 1);
             let mut farthest = f32::INFINITY;
             for row in 2 * row..(2 * row + 2).min(rows) {
@@ -159,10 +201,9 @@ impl ZPyramid {
                     farthest = farthest.min(self.refresh(depth, level - 1, column, row));
                 }
             }
-            self.levels[level - 1].farthest[at] = farthest;
-            self.levels[level - 1].stale[at] = false;
+            known[at].set(farthest);
         }
-        self.levels[level - 1].farthest[at]
+        known[at].get()
     }
 
     /// Columns and rows of a level; of tiles at level 0.
@@ -194,7 +235,7 @@ mod tests {
 
     use super::*;
     use crate::query::test;
-    use crate::{Resolution, Sides, Triangle};
+    use crate::{ItemBuffer, Resolution, Sides};
 
     #[test]
     fn the_pyramid_says_what_all_pixels_say_whatever_was_drawn_in_between() {
@@ -241,5 +282,66 @@ mod tests {
         assert!(different * 1000 <= asked, "{different} of {asked}");
         assert!(seen * 10 > asked && seen * 10 < asked * 9, "{seen} of {asked}");
         assert!(values * 2 < pixels, "{values} for {pixels} pixels");
+    }
+
+    #[test]
+    fn the_pyramid_hides_every_bound_that_the_depth_buffer_hides_and_none_with_a_pixel() {
+        let mut rng = Pcg64::seed_from_u64(2);
+        let (mut by_depth, mut by_pyramid, mut asked) = (0, 0, 0);
+        for resolution in
+            [Resolution::new(0, 0), Resolution::new(1, 1), Resolution::new(9, 200), Resolution::new(150, 97)]
+        {
+            let view = View::level(DVec3::new(0.1, 0.2, 0.3), 0.2, 1.5, resolution);
+            let mut any = |reach: f32| Vec3::from_array(std::array::from_fn(|_| rng.random_range(-reach..reach)));
+            let triangles: Vec<Triangle> = (0..60)
+                .map(|i| {
+                    let at = any(5.0) - Vec3::Z * 6.0;
+                    Triangle {
+                        corners: std::array::from_fn(|_| at + any(3.0)),
+                        sides: Sides::Both,
+                        occludes: i % 7 != 0,
+                    }
+                })
+                .collect();
+            let scene = Scene::from_triangles(triangles);
+            let mut image = PyramidImage::new(&view);
+            let mut picture = ItemBuffer::new(&view);
+            for chunk in scene.triangles().chunks(6) {
+                image.draw(chunk);
+                chunk.iter().for_each(|triangle| picture.draw_triangle(1, triangle, DVec3::ZERO));
+                for kind in 0..90 {
+                    let (centre, half) = ((any(10.0) - Vec3::Z * 12.0).as_dvec3(), any(0.8).abs().as_dvec3());
+                    let bound = match kind % 3 {
+                        0 => Bound::Box(Aabb::around(centre, half)),
+                        1 => Bound::Sphere { centre, radius: half.x },
+                        _ => Bound::Upright { centre, radius: half.x, half_height: half.y },
+                    };
+                    let [depth, pyramid] = [image.depth.hides(&bound), image.hides(&bound)];
+                    assert!(pyramid || !depth, "{bound:?} at {resolution:?}");
+                    asked += 1;
+                    by_depth += u32::from(depth);
+                    by_pyramid += u32::from(pyramid);
+                    if pyramid {
+                        // A triangle within the bound, right at its front.
+                        let reach = match bound {
+                            Bound::Box(_) => half,
+                            Bound::Sphere { radius, .. } => DVec3::splat(radius * 0.577),
+                            _ => DVec3::new(half.x * 0.7, half.y, half.x * 0.7),
+                        };
+                        let mut with = picture.clone();
+                        for corners in [[0, 1, 2], [5, 7, 6], [4, 5, 6], [4, 6, 0], [3, 5, 1]] {
+                            let corners = corners.map(|i| Aabb::around(centre, reach).corners()[i]);
+                            with.draw_corners(2, corners, Sides::Both);
+                        }
+                        assert!(!with.ids().contains(&2), "{bound:?} at {resolution:?}");
+                    }
+                }
+            }
+            assert!(!image.hides(&Bound::Everywhere));
+            assert!(!image.hides(&Bound::Sphere { centre: DVec3::NAN, radius: 1.0 }) || resolution.pixels() == 0);
+            assert!(!image.hides(&Bound::Sphere { centre: view.eye, radius: 0.1 }) || resolution.pixels() == 0);
+        }
+        // Silhouettes and slanted fronts hide more than rectangles and one depth.
+        assert!(by_pyramid > by_depth + 20 && by_depth > 200 && by_pyramid < asked, "{by_depth} {by_pyramid} {asked}");
     }
 }

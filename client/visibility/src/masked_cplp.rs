@@ -363,6 +363,11 @@ impl MaskedCplpScratch {
         &self.image
     }
 
+    /// The same, to draw what moves into it once the walk is over.
+    pub(crate) fn image_mut(&mut self) -> &mut MaskedDepth {
+        &mut self.image
+    }
+
     fn begin(&mut self, of: &MaskedCplp, view: &View) {
         self.image.begin(view);
         self.frame = self.frame.wrapping_add(1);

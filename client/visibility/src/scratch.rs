@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use crate::front_to_back::Leaves;
-use crate::hierarchical_z::ZPyramid;
+use crate::hierarchical_z::PyramidImage;
 use crate::{
     Bound, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, MaskedCplpScratch, Occluders, Occlusion, QueryBackEnd,
-    QueryKind, Resolution, UnderOcclusion, View,
+    QueryKind, Resolution, Triangle, UnderOcclusion, View,
 };
 
 /// What one worker needs to cull. What a culler does not use stays empty.
@@ -15,7 +15,7 @@ pub struct Scratch {
     pub(crate) cplp: CplpScratch,
     pub(crate) depth: DepthBuffer,
     pub(crate) leaves: Leaves,
-    pub(crate) pyramid: ZPyramid,
+    pyramid: PyramidImage,
     masked: MaskedCplpScratch,
     under: Option<UnderOcclusion>,
     query: Option<(QueryKind, CpuQuery)>,
@@ -27,6 +27,7 @@ pub struct Scratch {
 enum Speaker {
     Nothing,
     Depth,
+    Pyramid,
     Query,
     Masked,
     Under,
@@ -39,7 +40,7 @@ impl Default for Scratch {
             cplp: CplpScratch::default(),
             depth: DepthBuffer::new(&nowhere),
             leaves: Leaves::default(),
-            pyramid: ZPyramid::default(),
+            pyramid: PyramidImage::new(&nowhere),
             masked: MaskedCplpScratch::default(),
             under: None,
             query: None,
@@ -54,11 +55,32 @@ impl Scratch {
     pub fn occlusion(&self) -> &dyn Occlusion {
         match (self.speaker, &self.query, &self.under) {
             (Speaker::Depth, ..) => &self.depth,
+            (Speaker::Pyramid, ..) => &self.pyramid,
             (Speaker::Query, Some((_, query)), _) => query.depth(),
             (Speaker::Masked, ..) => self.masked.image(),
             (Speaker::Under, _, Some(under)) => under,
             _ => &NothingHidden,
         }
+    }
+
+    /// Draws moving things whose places are exact into the image that speaks, so that [`Scratch::occlusion`] hides what is
+    /// behind them too, until the next cull (DESIGN.md §4). Positions are relative to the scene's anchor; only triangles that
+    /// occlude are drawn, and none with corners that are not finite. Returns whether the image can be drawn into: `false`
+    /// after a [`crate::RegionCuller`], which speaks for eyes that see other sides, and where nothing speaks.
+    pub fn draw_moving(&mut self, triangles: &[Triangle]) -> bool {
+        let finite = triangles.iter().filter(|triangle| triangle.corners.iter().all(|corner| corner.is_finite()));
+        match (self.speaker, &mut self.query) {
+            (Speaker::Depth, _) => self.depth.draw_triangles(finite),
+            (Speaker::Pyramid, _) => self.pyramid.draw(finite),
+            (Speaker::Query, Some((_, query))) => query.depth_mut().draw_triangles(finite),
+            (Speaker::Masked, _) => {
+                let image = self.masked.image_mut();
+                let occluders = finite.filter(|triangle| triangle.occludes);
+                occluders.for_each(|triangle| image.draw_polygon_f32(&triangle.corners, triangle.sides));
+            }
+            _ => return false,
+        }
+        true
     }
 
     /// What the last walk of a [`crate::MaskedCplp`] left.
@@ -93,6 +115,15 @@ impl Scratch {
             self.depth.begin(view);
         }
         speaks
+    }
+
+    /// Likewise for a walk against a Z-pyramid.
+    pub(crate) fn begin_pyramid(&mut self, view: &View, region: EyeRegion) -> Option<(&mut PyramidImage, &mut Leaves)> {
+        let speaks = self.speak(Speaker::Pyramid, view, region);
+        if speaks {
+            self.pyramid.begin(view);
+        }
+        speaks.then_some((&mut self.pyramid, &mut self.leaves))
     }
 
     /// Likewise for a walk against coverage masks.

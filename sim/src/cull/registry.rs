@@ -66,7 +66,7 @@ impl<C: Culler> Candidate for WithScratch<C> {
     }
 
     fn draw_moving(&mut self, triangles: &[Triangle]) -> bool {
-        let _ = triangles; false
+        self.scratch.draw_moving(triangles)
     }
 
     fn z_tests(&self) -> Option<u64> {

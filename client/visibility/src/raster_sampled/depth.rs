@@ -5,7 +5,7 @@ use std::cell::Cell;
 use super::boxes::{BoxImage, BoxPlace};
 use super::seal;
 use super::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
-use crate::{Aabb, Bound, Occlusion, Scene, SealedFace, Target, View};
+use crate::{Aabb, Bound, Occlusion, Scene, SealedFace, Target, Triangle, View};
 
 /// Side of a tile in pixels.
 pub(crate) const TILE: usize = 8;
@@ -90,13 +90,17 @@ impl DepthBuffer {
 
     /// Draws those of the primitives that occlude.
     pub fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
+        self.draw_triangles(primitives.iter().map(|&id| &scene.triangles()[id as usize]));
+    }
+
+    /// Draws those of the triangles that occlude, of a scene or not. Corners are finite, as a scene's are.
+    pub(crate) fn draw_triangles<'a>(&mut self, triangles: impl IntoIterator<Item = &'a Triangle>) {
         let stride = self.tiles_x * TILE;
         let (depths, stale, tiles_x) = (&mut self.depths, &self.stale, self.tiles_x);
         let last_row = self.projector.height - 1;
         let drawn = &mut self.drawn;
         let mut z_tests = 0;
-        for &id in primitives {
-            let triangle = &scene.triangles()[id as usize];
+        for triangle in triangles {
             if !triangle.occludes {
                 continue;
             }
