@@ -47,6 +47,9 @@ struct OctreeNode {
     bounds: Vec<Entry>,
     /// The least box around all bounds here and below; empty only in an empty root.
     around: Aabb,
+    /// Radius of a ball around `centre` that holds them too; negative where there are none. The bounds of what moves are
+    /// mostly balls, and the corners of a box around large ones reach into sight long before they do.
+    reach: f64,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -56,6 +59,7 @@ struct Entry {
     aabb: Aabb,
 }
 
+fn looseness() -> f64 { static L: std::sync::OnceLock<f64> = std::sync::OnceLock::new(); *L.get_or_init(|| std::env::var("LOOSE").map_or(2.0, |v| v.parse().unwrap())) }
 const ROOT: u32 = 0;
 const NONE: u32 = u32::MAX;
 /// Smallest cell side in metres, unless the world is small: about the size of a person, whose bounds are hardly smaller.
@@ -148,12 +152,19 @@ impl DynamicOctree {
         let slot = bounds.len() - 1;
         self.places.insert(entry.key, Place { node, slot });
         let mut at = node;
-        // An ancestor that contains the box has ancestors that do.
-        while !self.node(at).around.contains_box(&entry.aabb) {
-            let around = self.node(at).around.union(&entry.aabb);
-            self.node_mut(at).around = around;
-            at = self.node(at).parent;
+        let mut reach = reach_from(self.node(at).centre, &entry.bound);
+        // An ancestor that contains both has ancestors that do.
+        while !self.node(at).around.contains_box(&entry.aabb) || self.node(at).reach < reach {
             self.visits += 1;
+            let node = self.node_mut(at);
+            node.around = node.around.union(&entry.aabb);
+            node.reach = node.reach.max(reach);
+            if at == ROOT {
+                break;
+            }
+            let parent = node.parent;
+            reach = self.node(at).reach_in(self.node(parent));
+            at = parent;
         }
     }
 
@@ -165,35 +176,53 @@ impl DynamicOctree {
             self.places.insert(moved, place);
         }
         let mut at = place.node;
+        let mut reach = reach_from(self.node(at).centre, &taken.bound);
         loop {
             self.visits += 1;
             let node = self.node(at);
             let parent = node.parent;
+            // What it counted for above, before it changes.
+            let parents_reach = node.reach_in(self.node(parent));
             if at != ROOT && node.is_vacant() {
                 let link = self.node_mut(parent).children.iter_mut().find(|child| **child == at);
                 *link.expect("a parent knows its child") = NONE;
                 self.free.push(at);
-            } else if node.around.has_inside(&taken.aabb) {
+            } else if node.around.has_inside(&taken.aabb) && reach < node.reach {
                 // Other bounds reach farther on every side, here and so above.
                 break;
             } else {
-                let around = self.tight(at);
-                if around == node.around {
+                let (around, reach) = self.tight(at);
+                if around == node.around && reach == node.reach {
                     break;
                 }
-                self.node_mut(at).around = around;
+                let node = self.node_mut(at);
+                (node.around, node.reach) = (around, reach);
             }
             if at == ROOT {
                 break;
             }
+            reach = parents_reach;
             at = parent;
         }
     }
 
-    fn tight(&self, node: u32) -> Aabb {
+    /// The least box around what is in and below a node, and how far it reaches from the node's centre.
+    fn tight(&self, node: u32) -> (Aabb, f64) {
         let node = self.node(node);
-        let below = node.present().map(|child| self.node(child).around);
-        node.bounds.iter().map(|entry| entry.aabb).chain(below).fold(Aabb::EMPTY, |all, aabb| all.union(&aabb))
+        let here = node.bounds.iter().map(|entry| (entry.aabb, reach_from(node.centre, &entry.bound)));
+        let below = node.present().map(|child| self.node(child)).map(|child| (child.around, child.reach_in(node)));
+        here.chain(below).fold((Aabb::EMPTY, -1.0), |(all, most), (aabb, reach)| (all.union(&aabb), most.max(reach)))
+    }
+
+    /// Whether all that is in and below a node is hidden, and how many tests that took.
+    fn is_hidden(&self, node: &OctreeNode, occlusion: &dyn Occlusion) -> (bool, usize) {
+        if occlusion.hides(&Bound::Box(node.around)) {
+            return (true, 1);
+        }
+        let ball = Bound::Sphere { centre: node.centre, radius: node.reach };
+        // Where it sticks out of the box on every side, the box has said it all.
+        let helps = node.reach < 0.5 * node.around.size().length();
+        (helps && occlusion.hides(&ball), 1 + usize::from(helps))
     }
 
     /// Checks the key and the nodes above it, in debug builds. The whole tree would make every mutation linear.
@@ -257,8 +286,16 @@ impl DynamicIndex for DynamicOctree {
             let node = self.node(at);
             // With a single thing below, asking it is asking the node.
             let things = node.bounds.len() + node.present().count();
-            if things != 1 && (things == 0 || occlusion.hides(&Bound::Box(node.around))) {
+            if things == 0 {
                 continue;
+            }
+            if things > 1 {
+                let (hidden, tests) = self.is_hidden(node, occlusion);
+                // The first counts as the visit.
+                work += tests - 1;
+                if hidden {
+                    continue;
+                }
             }
             work += node.bounds.len();
             exposed.extend(node.bounds.iter().filter(|entry| !occlusion.hides(&entry.bound)).map(|entry| entry.key));
@@ -279,14 +316,14 @@ impl DynamicIndex for DynamicOctree {
 
 impl OctreeNode {
     fn new(centre: DVec3, half: f64, parent: u32) -> OctreeNode {
-        OctreeNode { centre, half, parent, children: [NONE; 8], bounds: Vec::new(), around: Aabb::EMPTY }
+        OctreeNode { centre, half, parent, children: [NONE; 8], bounds: Vec::new(), around: Aabb::EMPTY, reach: -1.0 }
     }
 
     /// Whether the centre lies in the half-open cell and all of the box in the loose one.
     fn suits(&self, aabb: &Aabb) -> bool {
         let (centre, half) = (aabb.centre(), DVec3::splat(self.half));
         let in_cell = centre.cmpge(self.centre - half).all() && centre.cmplt(self.centre + half).all();
-        in_cell && Aabb::around(self.centre, half * 2.0).contains_box(aabb)
+        in_cell && Aabb::around(self.centre, half * looseness()).contains_box(aabb)
     }
 
     fn octant(&self, point: DVec3) -> usize {
@@ -299,6 +336,11 @@ impl OctreeNode {
         let half = self.half * 0.5;
         let shift = |bit: usize| if octant >> bit & 1 == 0 { -half } else { half };
         OctreeNode::new(self.centre + DVec3::new(shift(0), shift(1), shift(2)), half, parent)
+    }
+
+    /// How far from the parent's centre what is in and below this node reaches.
+    fn reach_in(&self, parent: &OctreeNode) -> f64 {
+        if self.reach < 0.0 { -1.0 } else { round_up(self.centre.distance(parent.centre) + self.reach) }
     }
 
     fn present(&self) -> impl Iterator<Item = u32> {
@@ -322,6 +364,21 @@ fn outward(Aabb { min, max }: Aabb) -> Aabb {
     let down = DVec3::new(min.x.next_down(), min.y.next_down(), min.z.next_down());
     let up = DVec3::new(max.x.next_up(), max.y.next_up(), max.z.next_up());
     Aabb::new(down, up)
+}
+
+/// How far a bound reaches from a point. Only of bounds that [`outer_box`] has a box for.
+fn reach_from(point: DVec3, bound: &Bound) -> f64 {
+    round_up(match *bound {
+        Bound::Sphere { centre, radius } => point.distance(centre) + radius,
+        Bound::Upright { centre, radius, half_height } => point.distance(centre) + radius.hypot(half_height),
+        Bound::Box(aabb) => (aabb.centre() - point).abs().length() + 0.5 * aabb.size().length(),
+        Bound::Everywhere => f64::INFINITY,
+    })
+}
+
+/// A little more than the rounding of a few sums and a root can take away.
+fn round_up(reach: f64) -> f64 {
+    reach * (1.0 + 1e-12)
 }
 
 /// A box that contains the bound, rounding included; `None` if nothing finite does or the bound makes no sense.
@@ -355,7 +412,7 @@ mod tests {
                 let node = self.node(at);
                 nodes += 1;
                 bounds += node.bounds.len();
-                assert_eq!(node.around, self.tight(at), "boxes are tight");
+                assert_eq!((node.around, node.reach), self.tight(at), "boxes and balls are tight");
                 assert!(at == ROOT || !node.is_vacant(), "empty nodes are freed");
                 for (slot, entry) in node.bounds.iter().enumerate() {
                     assert_eq!(self.places[&entry.key], Place { node: at, slot });

@@ -91,7 +91,7 @@ fn plots(swept: &Swept) -> Vec<Plot> {
             line("time", Axis::log("cull, track and draw (ms)"), &|row| (row.static_triangles as f64, row.total_ms)),
             line("work", Axis::log("work per frame"), &|row| (row.static_triangles as f64, row.work)),
         ],
-        "ratio" | "dynamic" | "hidden" => vec![
+        "ratio" | "dynamic" | "hidden" | "index" => vec![
             line("time", Axis::log("cull, track and draw (ms)"), &|row| (row.x, row.total_ms)),
             line("work", Axis::log("work per frame"), &|row| (row.x, row.work)),
         ],

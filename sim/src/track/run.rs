@@ -12,7 +12,8 @@ use eyeline_client::tracking::{
 };
 use eyeline_protocol::WorldTime;
 use eyeline_visibility::{
-    Bound, Culled, DynamicIndex, DynamicOctree, EyeRegion, ItemBuffer, Occlusion, Resolution, Triangle,
+    Bound, Culled, DynamicIndex, DynamicOctree, EyeRegion, ItemBuffer, Occlusion, References, Resolution, SplitOctree,
+    SplitRules, Triangle, Update,
 };
 use glam::DVec3;
 use rand::RngExt;
@@ -25,14 +26,33 @@ use crate::cull::{Candidate, Registry, Setting, Shop, Sweep};
 /// Which structure T is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IndexKind {
-    /// Loose octree, one reference each.
+    /// Loose octree, one reference each, never split by numbers.
     Loose,
+    /// The paper's, that splits and collapses, updated under the LCA: one reference each (Fig. 9).
+    Single,
+    /// The same with a reference in every node that is met (Fig. 10).
+    Multiple,
 }
 
 impl IndexKind {
+    /// The name in rows.
+    pub const fn name(self) -> &'static str {
+        match self {
+            IndexKind::Loose => "loose",
+            IndexKind::Single => "split-single",
+            IndexKind::Multiple => "split-multiple",
+        }
+    }
+
     fn make(self, world: &TrackWorld) -> Box<dyn DynamicIndex + Send> {
+        let split = |references| -> Box<dyn DynamicIndex + Send> {
+            let rules = SplitRules { primitives_max: 8, depth_max: 10, references, update: Update::UnderLca };
+            Box::new(SplitOctree::new(world.scene.bounds(), rules))
+        };
         match self {
             IndexKind::Loose => Box::new(DynamicOctree::new(world.scene.bounds())),
+            IndexKind::Single => split(References::Single),
+            IndexKind::Multiple => split(References::Multiple),
         }
     }
 }
@@ -162,7 +182,7 @@ pub fn run(
                     }
                 }
             }
-            contender.frame(world, rules, counts, &mut truth);
+            contender.frame(world, rules, [counts, counts || is_compared], &mut truth);
             if is_compared {
                 contender.compare(world, &truth);
             }
@@ -228,7 +248,7 @@ impl Contender {
         })
     }
 
-    fn frame(&mut self, world: &TrackWorld, rules: &RunRules, counts: bool, truth: &mut Truth) {
+    fn frame(&mut self, world: &TrackWorld, rules: &RunRules, [counts, is_drawn]: [bool; 2], truth: &mut Truth) {
         let view = world.view(rules.resolution);
         let began = Instant::now();
         self.culled = self.candidate.cull(&view, EyeRegion::point(view.eye));
@@ -244,6 +264,9 @@ impl Contender {
         let input = FrameInput { now: world.now(), eye: view.eye, eye_moves: world.eye_moves() };
         let stats = self.tracker.frame(input, &mut agents, &mut image);
         let frame_ms = began.elapsed().as_secs_f64() * 1e3;
+        if !is_drawn {
+            return;
+        }
         let began = Instant::now();
         truth.picture.begin(&view);
         truth.picture.draw(&world.scene, &self.culled.visible);
@@ -326,6 +349,7 @@ impl Contender {
             variant: setting.variant.name().to_owned(),
             shape: if uses_bounds { shape_name(setting.shape) } else { String::new() },
             validity: if uses_bounds { validity_name(&setting.validity) } else { String::new() },
+            index: if setting.variant == Variant::NoHierarchy { "" } else { setting.index.name() }.to_owned(),
             motion: kinds.join(" "),
             eye: if world.eye_moves() { "walking" } else { "still" }.to_owned(),
             resolution: rules.resolution.to_string(),

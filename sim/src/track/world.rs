@@ -6,7 +6,7 @@ use anyhow::Context;
 use eyeline_client::tracking::{MotionLimits, MotionState, TbvShape, TemporalBound};
 use eyeline_protocol::WorldTime;
 use eyeline_server::path::paths_of;
-use eyeline_visibility::{Aabb, Bound, LoadOptions, Resolution, Scene, Triangle, View, load_glb};
+use eyeline_visibility::{Aabb, Bound, LoadOptions, Resolution, Scene, Sides, Triangle, View, load_glb};
 use glam::{DVec2, DVec3, Vec3};
 use rand::RngExt;
 use rand::seq::SliceRandom;
@@ -14,6 +14,7 @@ use rand::seq::SliceRandom;
 use super::mover::{MotionKind, Mover};
 use crate::chance;
 use crate::motion::walk::Walker;
+use crate::scene::furniture;
 use crate::scene::plan::{Rect, RoomPlan, RoomsRules};
 use crate::scene::rooms;
 
@@ -111,15 +112,19 @@ impl TrackWorld {
         let made = rooms::make(&rooms_rules)?;
         let names = made.world.objects.iter().map(|object| object.name.clone());
         let scene = load_glb(&made.glb, "rooms", &LoadOptions::default().with_moving_nodes(names))?;
-        let chair = scene.objects().first().context("the building has no chair")?;
-        let corners = || chair.triangles.iter().flat_map(|triangle| triangle.corners);
-        let aabb = corners().fold(Aabb::EMPTY, |aabb, corner| aabb.with_point(corner.as_dvec3()));
-        // Turned about the vertical through its origin, it turns about this middle.
-        let middle = Vec3::new(0.0, aabb.centre().y as f32, 0.0);
+        // The same chair as the maker's in size, of as many triangles as the furniture of `building`.
+        let chair = furniture::pieces().into_iter().find(|piece| piece.name == "chair").context("there is no chair")?;
+        let middle = Vec3::new(0.0, 0.5 * chair.height as f32, 0.0);
+        let corner = |index: &u32| chair.mesh.positions[*index as usize] - middle;
         let mesh: Vec<Triangle> = chair
-            .triangles
-            .iter()
-            .map(|triangle| Triangle { corners: triangle.corners.map(|corner| corner - middle), ..*triangle })
+            .mesh
+            .indices
+            .chunks_exact(3)
+            .map(|three| Triangle {
+                corners: [corner(&three[0]), corner(&three[1]), corner(&three[2])],
+                sides: Sides::Front,
+                occludes: true,
+            })
             .collect();
         let reach = mesh.iter().flat_map(|triangle| triangle.corners).map(|c| c.as_dvec3().length()).fold(0.0, f64::max);
         let plan = Arc::new(made.plan);
