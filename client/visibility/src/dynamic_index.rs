@@ -3,9 +3,9 @@
 //! The dynamic half of Sudarsky & Gotsman's structure T (1999, §4): an octree in which a bound lives in the smallest
 //! node that contains it, inner nodes included, so that each bound has a single reference. A bound that moves climbs from
 //! its old node to the least ancestor that contains its new place (Fig. 9), and nothing above notices. Nodes are loose,
-//! twice as wide as their cells: a small bound on the border of two large cells need not live in the root.
+//! much wider than their cells: a small bound on the border of two large cells need not live in the root.
 //!
-//! Each node keeps the box of what is really below it, which is what the occlusion is asked about.
+//! Each node keeps the box of what is really below it and a ball around the same, which the occlusion is asked about.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -59,11 +59,13 @@ struct Entry {
     aabb: Aabb,
 }
 
-fn looseness() -> f64 { static L: std::sync::OnceLock<f64> = std::sync::OnceLock::new(); *L.get_or_init(|| std::env::var("LOOSE").map_or(2.0, |v| v.parse().unwrap())) }
 const ROOT: u32 = 0;
 const NONE: u32 = u32::MAX;
 /// Smallest cell side in metres, unless the world is small: about the size of a person, whose bounds are hardly smaller.
 const CELL_MIN: f64 = 1.0;
+/// How many times wider than their cells nodes are. A bound that has grown for long is large, and what hides it hides little
+/// more: nodes that are much smaller than their bounds hold neighbours only, which are hidden together.
+const LOOSENESS: f64 = 8.0;
 /// Levels below the root, whatever the world's size: few enough for cells to share their borders exactly in f64.
 const LEVELS: [i32; 2] = [6, 24];
 
@@ -323,7 +325,7 @@ impl OctreeNode {
     fn suits(&self, aabb: &Aabb) -> bool {
         let (centre, half) = (aabb.centre(), DVec3::splat(self.half));
         let in_cell = centre.cmpge(self.centre - half).all() && centre.cmplt(self.centre + half).all();
-        in_cell && Aabb::around(self.centre, half * looseness()).contains_box(aabb)
+        in_cell && Aabb::around(self.centre, half * LOOSENESS).contains_box(aabb)
     }
 
     fn octant(&self, point: DVec3) -> usize {

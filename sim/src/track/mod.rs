@@ -2,9 +2,11 @@
 //!
 //! [`world`] makes a building with things that move in it by [`mover`]; [`run`] tracks them in several ways, frame by frame
 //! side by side, and holds the pictures against the truth; [`sweep`] knows the paper's experiments and [`report`] puts what
-//! came of them beside what the paper says, with the columns of [`row`]. [`lca`] is its §6.1.1: updates of an octree alone.
+//! came of them beside what the paper says, with the columns of [`row`]. [`lca`] and [`lca_sweep`] are its
+//! §6.1.1: updates of an octree alone.
 
 pub mod lca;
+pub mod lca_sweep;
 pub mod mover;
 pub mod report;
 pub mod row;

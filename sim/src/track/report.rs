@@ -102,6 +102,21 @@ fn plots(swept: &Swept) -> Vec<Plot> {
         "messages" => vec![line("messages", Axis::linear("updates + TBVs per frame"), &|row| {
             (row.x, row.updates_per_frame + row.bounds_per_frame)
         })],
+        "lca" => {
+            let cubes = |rows: &[&TrackRow]| -> Vec<Point> {
+                rows.iter().filter(|row| row.motion == "cubes").map(|row| Point::new(row.x, row.work)).collect()
+            };
+            let mut plot = Plot::new(
+                format!("{name} ({paper}): nodes visited, two cubes"),
+                PlotKind::Line,
+                axis(),
+                Axis::log("nodes visited a step"),
+            );
+            for (name, rows) in lines(&swept.rows) {
+                plot = plot.with_series(Series::new(name, cubes(&rows)));
+            }
+            vec![plot]
+        }
         "growth" => vec![line("messages", Axis::log("messages that hidden objects cause, per frame"), &|row| {
             (row.x, row.hidden_caused_per_frame)
         })],

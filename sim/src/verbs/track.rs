@@ -10,7 +10,9 @@ use clap::Args;
 use eyeline_sim::cull::Registry;
 use eyeline_sim::report::{Progress, Run, rfc3339, table};
 use eyeline_sim::track::report::{Swept, report};
-use eyeline_sim::track::{SWEEPS, SweepInfo, SweepOptions, TrackWorld, columns, row, run as run_trackers, sweep};
+use eyeline_sim::track::{
+    SWEEPS, SweepInfo, SweepOptions, TrackWorld, columns, lca_sweep, row, run as run_trackers, sweep,
+};
 use eyeline_visibility::Resolution;
 
 use super::resolution;
@@ -72,11 +74,16 @@ pub fn run(options: &Track) -> anyhow::Result<()> {
         resolution: options.resolution,
     };
     let planned: Vec<_> = chosen.iter().map(|info| (*info, sweep::points(info.name, &sweep_options))).collect();
-    let frames = planned.iter().flat_map(|(_, points)| points).map(|point| point.run.settle + point.run.frames).sum();
-    let progress = Progress::new(frames, "frames");
+    let frames: u64 =
+        planned.iter().flat_map(|(_, points)| points).map(|point| point.run.settle + point.run.frames).sum();
+    let runs = if chosen.iter().any(|info| info.name == "lca") { lca_sweep::RUNS } else { 0 };
+    let progress = Progress::new(frames + runs, "frames");
     let mut sweeps = Vec::with_capacity(planned.len());
     for (info, points) in planned {
         let mut rows = Vec::new();
+        if info.name == "lca" {
+            rows = lca_sweep::run(|| progress.inc(1));
+        }
         for point in points {
             let mut world = TrackWorld::make(&point.world)?;
             for mut row in run_trackers(&mut world, &point.settings, &point.run, &registry, || progress.inc(1))? {
