@@ -292,8 +292,13 @@ mod tests {
 
     /// A chair of one triangle, 1 m high; in an animation, if it has one, it goes up to `lifted` metres.
     fn chair(lifted: Option<f32>) -> Vec<u8> {
-        let numbers =
-            [[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, lifted.unwrap_or(0.0) - 1.0, 0.0]];
+        let numbers = [
+            [0.0, 0.0, 0.0],
+            [0.4, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0],
+            [0.0, lifted.unwrap_or(0.0) - 1.0, 0.0],
+        ];
         let mut binary: Vec<u8> = numbers.iter().flatten().flat_map(|number: &f32| number.to_le_bytes()).collect();
         binary.extend([0.0f32, 1.0].iter().flat_map(|time| time.to_le_bytes()));
         let mut json = serde_json::json!({

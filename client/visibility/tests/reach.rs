@@ -394,7 +394,7 @@ fn rig(rng: &mut Pcg64) -> (Vec<u8>, usize) {
             None => made.root(node),
             Some(parent) => {
                 let child = made.push("nodes", node);
-                let parent: &mut Value = &mut made.json["nodes"][parent as usize];
+                let parent: &mut Value = &mut made.json["nodes"][parent];
                 parent["children"] = json!([child]);
                 child
             }
