@@ -488,9 +488,13 @@ impl Occlusion for UnderOcclusion {
 impl Target for UnderOcclusion {
     fn draw(&mut self, primitives: &[u32]) {
         for &primitive in primitives {
-            if let Some(polygon) = self.occluders.polygon_of(primitive) {
-                self.draw_polygon(polygon);
+            let Some(polygon) = self.occluders.polygon_of(primitive) else { continue };
+            // From a ball, drawing costs many times what asking costs, and much of a cell is hidden by the rest of it.
+            let is_new = self.image.radius > 0.0 && !self.image.is_drawn(polygon);
+            if is_new && self.hides(&Bound::Box(self.occluders.polygons[polygon as usize].aabb)) {
+                continue;
             }
+            self.draw_polygon(polygon);
         }
     }
 
