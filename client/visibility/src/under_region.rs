@@ -25,6 +25,13 @@
 //! is farther than it needs by 10⁻⁶ of its depth ([`crate::under_face`] rounds 1/z down), which at an eye that is clear of the
 //! plane by 10⁻⁵ of the polygon's size is more.
 //!
+//! **Near targets.** n·d ≥ 0 serves every depth. For p no farther than T along the image's axis n·d ≥ −ρ/T is enough, in both
+//! proofs, since n·(p − v) = ρ + t·n·d is all that they use. Images for several T were measured and are not here: what is kept
+//! for nothing is mostly far away, where little is gained, and drawing costs more with each. (`eyeline-sim`'s `building`, 30 eyes,
+//! ρ = 0.3 m, all round: with images up to 6 m, 18 m and without end 90 boxes of furniture were kept instead of 100, at 1.3 times the
+//! cost; with six images 74, at more than twice the cost.) What would help is not known; walls that only overlap in the image
+//! do not fuse here, and both leave the radius open where one hides the other's edge from every eye.
+//!
 //! **Joints.** Polygons with edges on exactly one line, on opposite sides of it, hide together in their fronts' union:
 //! p must be beyond both planes. If x is on the plane of the first and beyond the line, it is on the second's side of
 //! it: in a common plane, and thus in the second, which satisfies all its other edges; where they bend away from the eye
