@@ -101,10 +101,12 @@ pub(crate) fn relation(occluders: &Occluders, closed: u32, edge: u32, closer: u3
     let normal = occluders.polygons[closer as usize].normal;
     let [from, to] = ends(occluders, closed, edge);
     let along = to - from;
-    let length = along.length();
-    if normal.dot(along).abs() > EXACT * length {
+    let (rise, squared) = (normal.dot(along), along.length_squared());
+    // Most pairs end here, without a root.
+    if rise * rise > EXACT * EXACT * squared {
         return None;
     }
+    let length = squared.sqrt();
     let slope = normal.dot(occluders.polygons[closed as usize].normal.cross(along)) / length;
     if slope.abs() < SLOPE_MIN {
         return None;

@@ -414,12 +414,21 @@ impl Image {
         self.stats.joints += u64::from(drawn);
     }
 
-    /// Where the bound may be in a single view. From a ball its part beside the margin counts as seen.
+    /// Where the bound may be in a single view, as far as any eye's view reaches. From a ball its part beside the margin
+    /// counts as seen.
+    ///
+    /// With h the tangent of half the view, an eye e sees a point p only if p.x − e.x ≤ h·(p.z − e.z), so if
+    /// p.x/p.z ≤ h + ρ·√(1 + h²)/p.z; likewise on the other sides. Without this a large box that crosses a side of the view
+    /// would count as seen whatever is before it, and a traversal would follow the sides for ever.
     fn rectangle(&self, face: &Face, relative: &Aabb) -> Seen {
-        let seen = face.rectangle(relative, self.near, self.half, self.radius);
-        if let Seen::At(rectangle) = &seen
+        let mut seen = face.rectangle(relative, self.near, self.half, self.radius);
+        if let Seen::At(rectangle) = &mut seen
             && self.radius > 0.0
         {
+            let reach = self.half.map(|h| h + self.radius * (1.0 + h * h).sqrt() * (1.0 + 1e-9) / rectangle.z);
+            let clipped = |[low, high]: [f64; 2], reach: f64| [low.max(-reach), high.min(reach)];
+            rectangle.x = clipped(rectangle.x, reach[0]);
+            rectangle.y = clipped(rectangle.y, reach[1]);
             let [x, y] = [face.centre_x() / face.focal, face.centre_y() / face.focal];
             let [across, along] = [rectangle.x, rectangle.y];
             if !(-x <= across[0] && across[1] <= x && -y <= along[0] && along[1] <= y) {
@@ -479,9 +488,13 @@ impl Occlusion for UnderOcclusion {
 impl Target for UnderOcclusion {
     fn draw(&mut self, primitives: &[u32]) {
         for &primitive in primitives {
-            if let Some(polygon) = self.occluders.polygon_of(primitive) {
-                self.draw_polygon(polygon);
+            let Some(polygon) = self.occluders.polygon_of(primitive) else { continue };
+            // From a ball, drawing costs many times what asking costs, and much of a cell is hidden by the rest of it.
+            let is_new = self.image.radius > 0.0 && !self.image.is_drawn(polygon);
+            if is_new && self.hides(&Bound::Box(self.occluders.polygons[polygon as usize].aabb)) {
+                continue;
             }
+            self.draw_polygon(polygon);
         }
     }
 

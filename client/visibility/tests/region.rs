@@ -6,8 +6,8 @@ mod under_support;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, AllRound, AllRoundCells, Bound, Culler, EyeRegion, Occlusion, OctreeRules, RayScene, RegionCuller,
-    Resolution, Scene, Scratch, Sides, Triangle, View, exact_set,
+    Aabb, AllRound, AllRoundCells, Bound, Culler, EyeRegion, Occluders, Occlusion, OctreeRules, RayScene, RegionCuller,
+    Resolution, Scene, Scratch, Sides, Triangle, UnderOcclusion, View, exact_set,
 };
 use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
@@ -266,6 +266,25 @@ fn check_sets(scene: Scene, regions: &[EyeRegion], eyes: usize, rays: usize, sid
         seen_total += seen.iter().filter(|&&seen| seen).count();
     }
     [kept, seen_total].map(|sum| sum as f64 / regions.len() as f64)
+}
+
+#[test]
+fn a_box_that_crosses_the_side_of_a_view_is_hidden_by_a_wall_before_it() {
+    let mut triangles = Vec::new();
+    wall(&mut triangles, [-9.0, 9.0], [-9.0, 9.0], -3.0);
+    let occluders = Arc::new(Occluders::build(&Scene::from_triangles(triangles)));
+    // 90°, so the right side of the centre's view is x = −z. An eye at x = 0.3 sees up to x = −z + 0.3.
+    let view = View::level(DVec3::ZERO, 0.0, std::f64::consts::FRAC_PI_2, Resolution::new(128, 128));
+    let mut image = UnderOcclusion::single(Arc::clone(&occluders), &view);
+    image.start(EyeRegion { centre: DVec3::ZERO, radius: 0.3 }).unwrap();
+    let beside = |x: [f64; 2], z: f64| Bound::Box(Aabb::new(DVec3::new(x[0], -1.0, z - 1.0), DVec3::new(x[1], 1.0, z)));
+    let across = beside([15.0, 90.0], -20.0);
+    assert!(!image.hides(&across));
+    (0..occluders.len() as u32).for_each(|polygon| image.draw_polygon(polygon));
+    assert!(image.hides(&across));
+    // Before the wall and up to where the outermost eye looks.
+    assert!(!image.hides(&beside([2.15, 9.0], -2.0)));
+    assert!(!image.hides(&beside([3.1, 90.0], -2.0)));
 }
 
 fn regions_in(n: u32, count: usize, rng: &mut Pcg64) -> Vec<EyeRegion> {
