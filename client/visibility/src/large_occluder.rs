@@ -214,10 +214,18 @@ impl Eye {
 
     /// The polygons chosen for a place and directions that can be used, each once, best first.
     fn choose(&self, of: &Prepared, place: DVec3, directions: impl Iterator<Item = usize>, chosen: &mut Vec<Active>) {
-        let root = of.tree.root();
-        let Some(cell) = of.tree.cell_at(place.clamp(root.min, root.max)) else { return };
+        let cell = of.tree.cell_at(place);
         for direction in directions {
-            for &polygon in of.choice.of(cell, direction) {
+            let outside;
+            let polygons = match cell {
+                Some(cell) => of.choice.of(cell, direction),
+                None => {
+                    let most = of.rules.occluders.min(MEMBERS_MAX);
+                    outside = choose::from_outside(place, &of.polygons, most, direction);
+                    &outside
+                }
+            };
+            for &polygon in polygons {
                 if chosen.len() < MEMBERS_MAX && chosen.iter().all(|active| active.polygon != polygon) {
                     chosen.extend(self.active(&of.polygons, polygon));
                 }

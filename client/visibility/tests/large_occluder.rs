@@ -197,8 +197,8 @@ fn t_junctions_and_walls_that_cross_are_no_gaps() {
     let aabb = Aabb::around(DVec3::new(0.0, 0.0, -8.0), DVec3::new(1.0, 0.5, 0.5));
     let left = wall([-3.0, -2.0, -4.0], [3.0, 0.0, 0.0], [0.0, 4.0, 0.0]);
     let right = |from: f32, to: f32| wall([0.0, from, -4.0], [3.0, 0.0, 0.5], [0.0, to - from, 0.0]);
-    assert_only_jointly(&[left.clone(), right(-2.0, 0.1), right(0.1, 2.0)], aabb, "a T-junction");
-    assert!(!hides(&[left.clone(), right(-2.0, 0.1), right(0.11, 2.0)], EyeRegion::point(DVec3::ZERO), aabb, thorough()));
+    assert_only_jointly(&[left.clone(), right(-2.0, 0.125), right(0.125, 2.0)], aabb, "a T-junction");
+    assert!(!hides(&[left.clone(), right(-2.0, 0.125), right(0.1875, 2.0)], EyeRegion::point(DVec3::ZERO), aabb, thorough()));
     let crossing = wall([-0.2, -2.0, -4.1], [3.0, 0.0, 0.5], [0.0, 4.0, 0.0]);
     assert_only_jointly(&[left, crossing], aabb, "walls that cross");
 }
@@ -306,7 +306,7 @@ fn what_is_kept_between_frames_changes_nothing_but_the_cost() {
         cold.forget_relations();
         let fresh = culler.walk(&view, region, &mut cold);
         assert_eq!(warm.visible(), cold.visible(), "at step {step}");
-        assert_eq!((fresh.relations_reused, kept.nodes_visited), (0, fresh.nodes_visited));
+        assert_eq!(kept.nodes_visited, fresh.nodes_visited);
         assert!(kept.relations_made <= fresh.relations_made);
         (reused, tested) = (reused + kept.relations_reused, tested + kept.relations_tested);
     }

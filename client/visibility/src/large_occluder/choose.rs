@@ -11,7 +11,8 @@ use std::f64::consts::TAU;
 
 use glam::DVec3;
 
-use super::polygons::Polygons;
+use super::polygons::{Polygon, Polygons};
+use super::relation::heights;
 use crate::kd_tree::{KdNode, KdTree};
 use crate::{Aabb, Tessellation, View};
 
@@ -40,8 +41,10 @@ impl Choice {
         while let Some((node, mut candidates)) = open.pop() {
             match tree.node(node) {
                 KdNode::Leaf(cell) => {
-                    let lists = &mut lists[cell as usize * DIRECTIONS..][..DIRECTIONS];
-                    choose(tree.cell(cell).centre(), polygons, &candidates, most, lists);
+                    let directions = std::array::from_fn(|direction| direction);
+                    let chosen: [Vec<u32>; DIRECTIONS] =
+                        choose(tree.cell(cell), polygons, candidates.iter().copied(), most, directions);
+                    lists[cell as usize * DIRECTIONS..][..DIRECTIONS].clone_from_slice(&chosen);
                 }
                 KdNode::Inner(children) => {
                     let aabb = &boxes[node as usize];
@@ -95,31 +98,57 @@ pub(crate) fn directions_of(view: &View) -> impl Iterator<Item = usize> {
     })
 }
 
-fn choose(eye: DVec3, polygons: &Polygons, candidates: &[u32], most: usize, lists: &mut [Vec<u32>]) {
-    let mut rated: [Vec<(f64, u32)>; DIRECTIONS] = Default::default();
-    for &index in candidates {
-        let polygon = polygons.get(index);
-        let to_centre = polygon.centre - eye;
-        let distance2 = to_centre.length_squared();
-        let facing = -polygon.normal.dot(to_centre);
-        let facing = if polygon.two_sided { facing.abs() } else { facing };
-        // The eye will be elsewhere in the cell, so what it sees edge-on from the middle is worth a little.
-        let worth = polygon.area * facing.max(0.0) / (distance2 * distance2.sqrt());
-        if !(worth > 0.0) {
-            continue;
-        }
-        let corners = polygons.corners(index);
-        for (direction, rated) in rated.iter_mut().enumerate() {
-            let (z, x) = (direction as f64 * TAU / DIRECTIONS as f64).sin_cos();
-            let along = DVec3::new(x, 0.0, z);
-            let within = |point: &DVec3| along.dot(*point - eye) >= SECTOR * point.distance(eye);
-            if corners.iter().chain([&polygon.centre]).any(within) {
-                rated.push((worth, index));
+/// A polygon of a cell is rated as if it were at least this share of the cell's size away: the eye will be elsewhere in the
+/// cell. For the same reason, what is seen edge-on from the cell's middle is rated as if it were turned by [`TURNED`].
+const AWAY: f64 = 0.25;
+const TURNED: f64 = 0.05;
+
+/// What a polygon is worth to eyes in a box, by the paper's metric at its middle; 0 if none is in front of it.
+fn worth(polygon: &Polygon, eyes: &Aabb) -> f64 {
+    let to_centre = polygon.centre - eyes.centre();
+    let distance = to_centre.length().max(AWAY * eyes.size().length());
+    let [low, high] = heights(eyes, polygon.normal);
+    let seen = high > polygon.heights[1] || (polygon.two_sided && low < polygon.heights[0]);
+    let facing = -polygon.normal.dot(to_centre) / distance;
+    let facing = if polygon.two_sided { facing.abs() } else { facing };
+    if seen && distance > 0.0 { polygon.area * facing.max(TURNED) / (distance * distance) } else { 0.0 }
+}
+
+/// Whether some part of a polygon is in the sector of a direction.
+fn in_sector(polygons: &Polygons, index: u32, eye: DVec3, direction: usize) -> bool {
+    let (z, x) = (direction as f64 * TAU / DIRECTIONS as f64).sin_cos();
+    let along = DVec3::new(x, 0.0, z);
+    let within = |point: &DVec3| along.dot(*point - eye) >= SECTOR * point.distance(eye);
+    polygons.corners(index).iter().chain([&polygons.get(index).centre]).any(within)
+}
+
+/// The best of the candidates for each of some directions.
+fn choose<const N: usize>(
+    eyes: &Aabb,
+    polygons: &Polygons,
+    candidates: impl Iterator<Item = u32>,
+    most: usize,
+    directions: [usize; N],
+) -> [Vec<u32>; N] {
+    let mut rated = [const { Vec::new() }; N];
+    for index in candidates {
+        let worth = worth(polygons.get(index), eyes);
+        if worth > 0.0 {
+            for (direction, rated) in directions.into_iter().zip(&mut rated) {
+                if in_sector(polygons, index, eyes.centre(), direction) {
+                    rated.push((worth, index));
+                }
             }
         }
     }
-    for (list, mut rated) in lists.iter_mut().zip(rated) {
-        rated.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        list.extend(rated.iter().take(most).map(|&(_, polygon)| polygon));
-    }
+    rated.map(|mut rated| {
+        rated.sort_unstable_by(|a: &(f64, u32), b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        rated.iter().take(most).map(|&(_, polygon)| polygon).collect()
+    })
+}
+
+/// The best polygons for an eye outside the scene, where there are no cells to choose for.
+pub(crate) fn from_outside(eye: DVec3, polygons: &Polygons, most: usize, direction: usize) -> Vec<u32> {
+    let [list] = choose(&Aabb::new(eye, eye), polygons, 0..polygons.len() as u32, most, [direction]);
+    list
 }

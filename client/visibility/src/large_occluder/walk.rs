@@ -226,8 +226,9 @@ impl<'a> Walk<'a> {
             self.frame.active = active;
             let count = self.frame.active.len();
             if count > frame_count {
+                // Together with those of the frame that partially occlude it, which the first test left.
                 self.frame.lists.extend(frame_count as u8..count as u8);
-                hidden = self.hides(index, aabb, from, from + count - frame_count);
+                hidden = self.hides(index, aabb, from, self.frame.lists.len());
             }
             self.frame.active.truncate(frame_count);
         }
