@@ -206,9 +206,8 @@ impl Eye {
         let clear = above.max(below);
         // Seen almost edge-on, a loop that is not quite flat might be turned away in part.
         let least = GRAZING * of.size + self.margins.radius + 1e-12 * (of.aabb.max.length() + self.position.length());
-        let usable = clear > least
-            && (of.two_sided || !from_behind)
-            && clear.max(of.aabb.distance(self.position)) > self.near;
+        let usable =
+            clear > least && (of.two_sided || !from_behind) && clear.max(of.aabb.distance(self.position)) > self.near;
         usable.then_some(Active { polygon, from_behind })
     }
 

@@ -407,9 +407,11 @@ impl Occluders {
         let mut all = Vec::new();
         for polygon in 0..self.polygons.len() as u32 {
             let corners = self.corners(polygon);
-            all.extend((0..).zip(corners).map(|(edge, &from)| {
-                LineEdge::new(polygon, edge, from, corners[(edge as usize + 1) % corners.len()])
-            }));
+            all.extend(
+                (0..).zip(corners).map(|(edge, &from)| {
+                    LineEdge::new(polygon, edge, from, corners[(edge as usize + 1) % corners.len()])
+                }),
+            );
         }
         let mut joints = Vec::new();
         overlaps_on_lines(all, |a, b, low, high| {

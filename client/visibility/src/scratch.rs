@@ -5,8 +5,8 @@ use std::sync::Arc;
 use crate::front_to_back::Leaves;
 use crate::hierarchical_z::ZPyramid;
 use crate::{
-    Bound, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, LargeOccluderScratch, MaskedCplpScratch, Occluders, Occlusion, QueryBackEnd,
-    QueryKind, Resolution, UnderOcclusion, View,
+    Bound, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, LargeOccluderScratch, MaskedCplpScratch, Occluders,
+    Occlusion, QueryBackEnd, QueryKind, Resolution, UnderOcclusion, View,
 };
 
 /// What one worker needs to cull. What a culler does not use stays empty.

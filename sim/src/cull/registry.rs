@@ -8,8 +8,9 @@ use std::sync::Arc;
 
 use eyeline_visibility::{
     Aabb, Budget, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, DepthBuffer, EyeRegion,
-    FrustumBackface, HierarchicalZ, KdRules, KdTree, LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules,
-    QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, View, ZBuffer,
+    FrustumBackface, HierarchicalZ, KdRules, KdTree, LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders,
+    Occlusion, Octree, OctreeRules, QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch,
+    Tessellation, View, ZBuffer,
 };
 
 use super::picture::Layer;
@@ -532,7 +533,8 @@ mod tests {
         let message = |sweep: &Sweep| registry.settings(sweep).unwrap_err().to_string();
         let text = message(&sweep(&["cplp", "plpp"], &[], &[], &[]));
         assert!(
-            text.contains("no culler `plpp`") && text.contains("zbuffer, frustum-backface, frustum, large-occluder, masked, cplp"),
+            text.contains("no culler `plpp`")
+                && text.contains("zbuffer, frustum-backface, frustum, large-occluder, masked, cplp"),
             "{text}"
         );
         assert!(message(&sweep(&[], &["bsp"], &[], &[])).contains("no tessellation `bsp`; known: kd-tree, octree"));

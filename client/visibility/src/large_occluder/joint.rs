@@ -11,14 +11,14 @@
 //!    5-(b), a silhouette that is not convex, need not be given up;
 //! 3. a polygon of the set continues on its other side: a partner, on exactly that stretch. A picture draws welded edges
 //!    without a gap; at a T-junction it may leave a crack, which is looked for in this picture ([`crack_is_open`]);
-//! 4. it is seen inside another polygon of the set, as where walls run into each other. There is no shared edge then, but what is
-//!    past the one's end is behind the other.
+//! 4. another polygon of the set is seen all along it, as where walls run into each other: the piece is on the inner side of
+//!    each edge of that polygon that does not have the whole box on its inner side anyway.
 //!
 //! Polygons with an edge that matters are left out until none has; the order does not.
 
 use super::Eye;
 use super::polygons::{Partner, Polygons};
-use super::relation::{contains, segment_is_clear};
+use super::relation::{all_edges, edges_around, segment_is_clear};
 use crate::Aabb;
 use crate::raster_sampled::setup::Projector;
 
@@ -43,21 +43,20 @@ pub(crate) struct Member {
 /// The most polygons of a set.
 pub(crate) const MEMBERS_MAX: usize = 64;
 
-/// Which edges are seen inside which polygons by the eye of a frame, as far as it was asked.
+/// Which edges are seen on the inner side of which other edges by the eye of a frame, as far as it was asked: bits as in
+/// [`edges_around`], and [`KNOWN`].
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Continued {
-    known: Vec<u8>,
+    known: Vec<u16>,
     count: usize,
 }
 
-const UNKNOWN: u8 = 0;
-const NO: u8 = 1;
-const YES: u8 = 2;
+const KNOWN: u16 = 1 << 8;
 
 impl Continued {
     pub fn begin(&mut self, active: usize) {
         self.known.clear();
-        self.known.resize(active * active * 8, UNKNOWN);
+        self.known.resize(active * active * 8, 0);
         self.count = active;
     }
 }
@@ -80,7 +79,7 @@ pub(crate) fn hide(
             }
             let others = || members.iter().enumerate().filter(|&(i, _)| i != index && set >> i & 1 == 1);
             let count = polygons.corners(member.of.polygon).len();
-            let is_no_matter = |edge: usize| {
+            let mut is_no_matter = |edge: usize| {
                 if member.inside >> edge & 1 == 1 {
                     return true;
                 }
@@ -101,28 +100,29 @@ pub(crate) fn hide(
                     let piece = [from.lerp(to, s), from.lerp(to, t)];
                     segment_is_clear(piece, aabb, eye.position, eye.margins)
                         || others().any(|(_, other)| {
+                            let Active { polygon, from_behind } = other.of;
                             let asked = || {
-                                let inside = |point| {
-                                    let Active { polygon, from_behind } = other.of;
-                                    contains(polygons, polygon, from_behind, point, eye.position, eye.margins)
+                                let around = |point| {
+                                    edges_around(polygons, polygon, from_behind, point, eye.position, eye.margins)
                                 };
-                                inside(piece[0]) && inside(piece[1])
+                                around(piece[0]) & around(piece[1])
                             };
-                            match &mut continued {
+                            let around = match &mut continued {
                                 Some(kept) if [s, t] == [0.0, 1.0] => {
                                     let pair = usize::from(member.active) * kept.count + usize::from(other.active);
                                     let known = &mut kept.known[pair * 8 + edge];
-                                    if *known == UNKNOWN {
-                                        *known = if asked() { YES } else { NO };
+                                    if *known == 0 {
+                                        *known = KNOWN | u16::from(asked());
                                     }
-                                    *known == YES
+                                    (*known & !KNOWN) as u8
                                 }
                                 _ => asked(),
-                            }
+                            };
+                            around | other.inside == all_edges(polygons, polygon)
                         })
                 })
             };
-            if !(0..count).all(is_no_matter) {
+            if !(0..count).all(&mut is_no_matter) {
                 set &= !(1 << index);
             }
         }
@@ -135,7 +135,8 @@ pub(crate) fn hide(
     let samples = SAMPLES.map(|[x, y, z]| aabb.centre() + half * glam::DVec3::new(x, y, z));
     members.iter().enumerate().filter(|&(index, _)| set >> index & 1 == 1).any(|(_, member)| {
         let Active { polygon, from_behind } = member.of;
-        samples.iter().any(|&sample| contains(polygons, polygon, from_behind, sample, eye.position, eye.margins))
+        let around = |sample| edges_around(polygons, polygon, from_behind, sample, eye.position, eye.margins);
+        samples.iter().any(|&sample| around(sample) | member.inside == all_edges(polygons, polygon))
     })
 }
 

@@ -79,7 +79,8 @@ impl Relation {
     pub fn new(polygons: &Polygons, polygon: u32, aabb: &Aabb) -> Relation {
         let corners = polygons.corners(polygon);
         let normal = polygons.get(polygon).normal;
-        let edges = (0..corners.len()).map(|edge| EdgePlanes::new(polygons.edge(polygon, edge), normal, aabb)).collect();
+        let edges =
+            (0..corners.len()).map(|edge| EdgePlanes::new(polygons.edge(polygon, edge), normal, aabb)).collect();
         let reach = corners.iter().map(|corner| corner.length()).fold(0.0, f64::max);
         Relation {
             polygon,
@@ -100,14 +101,18 @@ impl Relation {
     }
 
     /// Answers for an eye that is clear of the polygon's plane. Returns the number of planes looked at.
-    pub fn answer(&mut self, polygons: &Polygons, aabb: &Aabb, eye: DVec3, from_behind: bool, margins: Margins) -> usize {
+    pub fn answer(
+        &mut self,
+        polygons: &Polygons,
+        aabb: &Aabb,
+        eye: DVec3,
+        from_behind: bool,
+        margins: Margins,
+    ) -> usize {
         (self.eye, self.from_behind, self.inside) = (eye, from_behind, 0);
         let polygon = polygons.get(self.polygon);
-        let before = if from_behind {
-            self.heights[1] <= polygon.heights[0]
-        } else {
-            self.heights[0] >= polygon.heights[1]
-        };
+        let before =
+            if from_behind { self.heights[1] <= polygon.heights[0] } else { self.heights[0] >= polygon.heights[1] };
         if before {
             // As long as the eye stays on its side.
             (self.status, self.clear) = (Status::None, f64::INFINITY);
@@ -147,10 +152,10 @@ impl Relation {
                 clear = clear.min(-outside / (1.0 + edge.rounding));
             }
         }
-        let all = (1_u16 << corners.len()) - 1;
+        let all = all_edges(polygons, self.polygon);
         (self.status, self.clear) = match outside_clear {
             Some(clear) => (Status::None, clear),
-            None if u16::from(self.inside) == all => (Status::Inside, clear),
+            None if self.inside == all => (Status::Inside, clear),
             None => (Status::Partial, clear),
         };
         self.clear = self.clear * (1.0 - 1e-6) - 1e-9 * scale;
@@ -239,13 +244,23 @@ pub(crate) fn is_nearer(polygons: &Polygons, index: u32, aabb: &Aabb, eye: DVec3
     beyond(polygon.heights[1] - at, low - at) || beyond(at - polygon.heights[0], at - high)
 }
 
-/// Whether eyes see a point on the inner side of each edge of a polygon, by the margins.
-pub(crate) fn contains(polygons: &Polygons, index: u32, from_behind: bool, point: DVec3, eye: DVec3, margins: Margins) -> bool {
+/// The edges of a polygon, as bits, that eyes see a point on the inner side of, by the margins.
+pub(crate) fn edges_around(
+    polygons: &Polygons,
+    index: u32,
+    from_behind: bool,
+    point: DVec3,
+    eye: DVec3,
+    margins: Margins,
+) -> u8 {
     let sign = if from_behind { -1.0 } else { 1.0 };
-    (0..polygons.corners(index).len()).all(|edge| {
-        let [from, to] = polygons.edge(index, edge);
-        sign * clearance([from, to], point, eye, margins) >= 0.0
-    })
+    let inside = |&edge: &usize| sign * clearance(polygons.edge(index, edge), point, eye, margins) >= 0.0;
+    (0..polygons.corners(index).len()).filter(inside).fold(0, |bits, edge| bits | 1 << edge)
+}
+
+/// One bit for each edge of a polygon.
+pub(crate) fn all_edges(polygons: &Polygons, index: u32) -> u8 {
+    ((1_u16 << polygons.corners(index).len()) - 1) as u8
 }
 
 /// Positive if eyes are by more than the margins on the inner side of the plane through an edge and a point, negative if they
@@ -285,4 +300,88 @@ pub(crate) fn segment_is_clear([a, b]: [DVec3; 2], aabb: &Aabb, eye: DVec3, marg
         let beyond = |point| clearance(edge, point, eye, margins) * inner.signum() < 0.0;
         beyond(a) && beyond(b)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    use super::*;
+    use crate::{Scene, Sides, Triangle};
+
+    fn one_triangle(rng: &mut Pcg64) -> Polygons {
+        let corners = std::array::from_fn(|_| Vec3::from_array(std::array::from_fn(|_| rng.random_range(-2.0..2.0))));
+        let triangle = Triangle { corners, sides: Sides::Both, occludes: true };
+        Polygons::build(&Scene::from_triangles(vec![triangle]), 1, 0.0)
+    }
+
+    fn point(rng: &mut Pcg64, reach: f64) -> DVec3 {
+        DVec3::from_array(std::array::from_fn(|_| rng.random_range(-reach..reach)))
+    }
+
+    const EXACT: Margins = Margins { radius: 0.0, angle: 0.0 };
+
+    #[test]
+    fn planes_say_what_every_vertex_says() {
+        let mut rng = Pcg64::seed_from_u64(1);
+        let mut seen = [0; 3];
+        for _ in 0..3000 {
+            let polygons = one_triangle(&mut rng);
+            let (a, half) = (point(&mut rng, 3.0), point(&mut rng, 1.0).abs() * 0.2);
+            let (aabb, eye) = (Aabb::around(a, half), point(&mut rng, 6.0));
+            let from_behind = polygons.get(0).normal.dot(eye) < polygons.get(0).heights[0];
+            let mut relation = Relation::new(&polygons, 0, &aabb);
+            relation.answer(&polygons, &aabb, eye, from_behind, EXACT);
+            let sign = if from_behind { -1.0 } else { 1.0 };
+            let corners = aabb.corners();
+            let sides = (0..3).map(|edge| {
+                let [from, to] = polygons.edge(0, edge);
+                corners.map(|corner| sign * (to - eye).cross(from - eye).dot(corner - eye))
+            });
+            let sides: Vec<[f64; 8]> = sides.collect();
+            let inside = sides.iter().all(|sides| sides.iter().all(|&side| side > 0.0));
+            let outside = sides.iter().any(|sides| sides.iter().all(|&side| side < 0.0));
+            let heights = corners.map(|corner| sign * polygons.get(0).normal.dot(corner));
+            let plane = sign * polygons.get(0).normal.dot(polygons.corners(0)[0]);
+            let before = heights.iter().all(|&height| height > plane);
+            let beyond = heights.iter().all(|&height| height < plane);
+            // In the plane's way an edge's line may meet the box: then nothing is claimed.
+            match relation.status {
+                Status::Inside => assert!(inside && !before),
+                Status::None => assert!(outside || before),
+                Status::Partial => assert!(!before && !(beyond && (inside || outside))),
+            }
+            seen[relation.status as usize] += 1;
+        }
+        assert!(seen.iter().all(|&count| count > 20), "{seen:?}: the test says little");
+    }
+
+    #[test]
+    fn a_kept_answer_holds_as_far_as_it_says() {
+        let mut rng = Pcg64::seed_from_u64(2);
+        let mut moved = 0;
+        for _ in 0..3000 {
+            let polygons = one_triangle(&mut rng);
+            let aabb = Aabb::around(point(&mut rng, 4.0), point(&mut rng, 1.0).abs() * 0.7);
+            let margins = Margins { radius: 0.01, angle: 0.003 };
+            let eye = point(&mut rng, 6.0);
+            let behind = |eye: DVec3| polygons.get(0).normal.dot(eye) < polygons.get(0).heights[0];
+            let mut relation = Relation::new(&polygons, 0, &aabb);
+            relation.answer(&polygons, &aabb, eye, behind(eye), margins);
+            for _ in 0..5 {
+                let reach = relation.clear.clamp(0.0, 10.0);
+                let near = eye + point(&mut rng, 1.0).normalize_or_zero() * reach * rng.random_range(0.9..1.0);
+                if relation.holds(near, behind(near)) {
+                    moved += 1;
+                    let mut fresh = Relation::new(&polygons, 0, &aabb);
+                    fresh.answer(&polygons, &aabb, near, behind(near), margins);
+                    assert_eq!(relation.status, fresh.status);
+                    assert!(relation.status == Status::None || relation.inside == fresh.inside);
+                }
+            }
+        }
+        assert!(moved > 5000, "{moved}");
+    }
 }

@@ -130,7 +130,9 @@ fn hides_box(of: &Prepared, eye: &Eye, active: &[Active], aabb: &Aabb) -> bool {
     for (number, &occluder) in (0..).zip(active) {
         let mut relation = Relation::new(&of.polygons, occluder.polygon, aabb);
         relation.answer(&of.polygons, aabb, eye.position, occluder.from_behind, eye.margins);
-        if relation.status == Status::None || !is_nearer(&of.polygons, occluder.polygon, aabb, eye.position, eye.margins) {
+        if relation.status == Status::None
+            || !is_nearer(&of.polygons, occluder.polygon, aabb, eye.position, eye.margins)
+        {
             continue;
         }
         if relation.status == Status::Inside {

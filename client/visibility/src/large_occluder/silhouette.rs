@@ -90,9 +90,8 @@ mod tests {
             let (code, corners) = (code(&aabb, eye), aabb.corners());
             assert_eq!(code == 0, aabb.contains(eye));
             let mut found = 0_u8;
-            for from in 0..8 {
-                for to in (0..8).filter(|to| (from ^ to as usize).count_ones() == 1 && *to as usize > from) {
-                    let to = to as usize;
+            for from in 0..8_usize {
+                for to in (from + 1..8).filter(|to| (from ^ to).count_ones() == 1) {
                     let normal = (corners[from] - eye).cross(corners[to] - eye);
                     let sides = corners.map(|corner| normal.dot(corner - eye));
                     let slack = 1e-12;

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use eyeline_visibility::{
     Budget, Cplp, CplpCuller, CplpQueryCuller, Culler, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree,
-    LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Octree, OctreeRules, QueryFrontToBack, QueryKind, RegionCuller, Scene, Scratch,
-    Tessellation, View, ZBuffer, exact_set, wrong_pixels,
+    LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Octree, OctreeRules, QueryFrontToBack, QueryKind,
+    RegionCuller, Scene, Scratch, Tessellation, View, ZBuffer, exact_set, wrong_pixels,
 };
 
 /// A culler and what failures call it.
