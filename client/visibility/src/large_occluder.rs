@@ -17,7 +17,8 @@
 //! by another polygon are so by the same margin. A polygon that the near plane might cut in view is not used.
 //!
 //! Every test is of planes, eyes and boxes in f64 with room for rounding, and gives way by the radius of the eye region. So the same
-//! answers hold for every eye of a ball; about pictures, then, the promise is that of [`crate::RegionCuller`]: it is about rays.
+//! holds for the picture of every eye of a ball, with the view's orientation and resolution. T-junctions are then left open,
+//! since each of these pictures has its own cracks.
 
 mod choose;
 mod joint;

@@ -85,6 +85,33 @@ fn nothing_is_lost_in_rooms_however_their_walls_meet() {
 }
 
 #[test]
+fn nothing_is_lost_from_any_eye_of_a_ball() {
+    let mut rng = Pcg64::seed_from_u64(11);
+    for (corners, sides) in [(Corners::Abut, Sides::Front), (Corners::Overlap, Sides::Both)] {
+        let scene = Arc::new(rooms(3, corners, sides, 0.0, &mut rng));
+        let culler = LargeOccluder::new(scene.clone(), thorough());
+        let mut scratch = Scratch::default();
+        let mut kept = 0;
+        for radius in [0.05, 0.2, 0.5] {
+            for _ in 0..3 {
+                let centre = random_eye(3, 0.0, &mut rng);
+                let view = View { eye: centre, ..made::visitor(&mut rng, 3, SMALL) };
+                let visible = culler.cull(&view, EyeRegion { centre, radius }, &mut scratch).visible;
+                kept += visible.len();
+                for _ in 0..8 {
+                    let mut unit = || rng.random_range(-1.0..1.0);
+                    let eye = centre + DVec3::new(unit(), unit(), unit()).normalize() * radius;
+                    let (exact, _) = exact_set(&scene, &View { eye, ..view });
+                    let lost = exact.iter().find(|id| visible.binary_search(id).is_err());
+                    assert_eq!(lost, None, "{radius} m around {centre}, seen from {eye}");
+                }
+            }
+        }
+        assert!(kept < 9 * scene.triangles().len() * 9 / 10, "{kept}: the test says little");
+    }
+}
+
+#[test]
 fn nothing_is_lost_in_soups() {
     for seed in 0..6 {
         let scene = Arc::new(made::soup(seed, 150));

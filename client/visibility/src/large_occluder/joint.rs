@@ -177,10 +177,10 @@ impl Pieces {
 
 impl Eye {
     /// Whether some pixel of the picture may show what is behind the stretch of a line along which two polygons meet without
-    /// sharing corners: whether a pixel's centre lies between the two edges as the picture snaps them. Nobody has snapped anything
-    /// along a mere ray.
+    /// sharing corners: whether a pixel's centre lies between the two edges as the picture snaps them. A ball of eyes has as many
+    /// pictures as eyes: there, one may.
     fn crack_is_open(&self, polygons: &Polygons, polygon: u32, edge: usize, partner: &Partner) -> bool {
-        let Some(projector) = &self.picture else { return false };
+        let Some(projector) = &self.picture else { return true };
         let own = snapped(projector, polygons.edge(polygon, edge));
         let other = snapped(projector, polygons.edge(partner.polygon, partner.edge as usize));
         let (Some(own), Some(other)) = (own, other) else { return true };

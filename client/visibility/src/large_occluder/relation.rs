@@ -121,7 +121,7 @@ impl Relation {
         let corners = polygons.corners(self.polygon);
         let sign = if from_behind { -1.0 } else { 1.0 };
         let scale = self.reach + eye.length();
-        let farthest = eye.distance(aabb.centre()) + aabb.size().length() * 0.5;
+        let farthest = eye.distance(aabb.centre()) + aabb.size().length() * 0.5 + margins.radius;
         let (mut clear, mut outside_clear) = (f64::INFINITY, None::<f64>);
         for (index, (edge, corner)) in self.edges.iter().zip(corners).enumerate() {
             if edge.normals[0] == DVec3::ZERO {
@@ -134,10 +134,10 @@ impl Relation {
             let length = from.length();
             // A point at distance ρ_c from the edge's line and sine s beyond it is ρ_c·s inside of the eye's own plane
             // through the edge, and s is the eye's distance from the supporting plane over its distance from the line.
-            let give = margins.angle * length * farthest / edge.gap;
+            let give = margins.angle * (length + margins.radius) * farthest / edge.gap;
             let need = margins.radius + give + rounding;
             // By how much `need` grows per metre that the eye moves, as long as it moves less than `farthest`.
-            let slope = margins.angle * (2.0 * farthest + length) / edge.gap + edge.rounding;
+            let slope = margins.angle * (2.0 * farthest + length + margins.radius) / edge.gap + edge.rounding;
             let outside = -high - margins.radius - rounding;
             if outside >= 0.0 {
                 let stays = outside / (1.0 + edge.rounding);
@@ -274,7 +274,8 @@ fn clearance([from, to]: [DVec3; 2], point: DVec3, eye: DVec3, margins: Margins)
     let gap = length / along.length();
     let scale = from.length() + to.length() + point.length() + eye.length();
     let rounding = ROUNDING * scale * (1.0 + scale / gap);
-    let need = margins.radius + margins.angle * point.distance(eye) * to_eye.length() / gap + rounding;
+    let (to_point, to_line) = (point.distance(eye) + margins.radius, to_eye.length() + margins.radius);
+    let need = margins.radius + margins.angle * to_point * to_line / gap + rounding;
     if distance.abs() >= need { distance } else { f64::NAN }
 }
 

@@ -94,6 +94,11 @@ fn answers_for(name: &str, view: &View) -> bool {
     name != FROM_A_REGION || view.eye.length() < 1e6
 }
 
+/// Whether a culler answers for balls of eyes too; others keep everything then.
+pub fn answers_for_balls(name: &str) -> bool {
+    name == FROM_A_REGION || name.starts_with("large occluders")
+}
+
 /// The name of the [`RegionCuller`].
 pub const FROM_A_REGION: &str = "from a region";
 
