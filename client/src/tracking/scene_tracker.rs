@@ -199,7 +199,13 @@ impl SceneTracker {
     /// An object exists: potentially visible until a frame shows that it is not. An id that is in use is a new object.
     pub fn insert(&mut self, object: u32) {
         self.remove(object);
-        let entry = Entry { state: State::Visible, keys: Vec::new(), volume: Vec::new(), observed: 0, period: self.validity.first() };
+        let entry = Entry {
+            state: State::Visible,
+            keys: Vec::new(),
+            volume: Vec::new(),
+            observed: 0,
+            period: self.validity.first(),
+        };
         self.entries.insert(object, entry);
         self.visible.insert(object);
         self.debug_check(object);
@@ -463,8 +469,7 @@ impl SceneTracker {
 
     /// The objects that the newest frame displayed, ascending.
     pub fn shown(&self) -> impl Iterator<Item = u32> + '_ {
-        let is_shown =
-            |&object: &u32| self.entries.get(&object).is_some_and(|entry| entry.observed == self.frames);
+        let is_shown = |&object: &u32| self.entries.get(&object).is_some_and(|entry| entry.observed == self.frames);
         self.visible().filter(is_shown)
     }
 
@@ -498,7 +503,10 @@ impl SceneTracker {
         let in_queue = self.queue.due(object).is_some();
         let in_visible = self.visible.contains(&object);
         let Some(entry) = self.entries.get(&object) else {
-            assert!(!in_queue && !in_visible && !self.violated.contains(&object), "object {object} left something behind");
+            assert!(
+                !in_queue && !in_visible && !self.violated.contains(&object),
+                "object {object} left something behind"
+            );
             return;
         };
         match entry.state {

@@ -94,6 +94,15 @@ struct Node {
 
 const LEAF: u8 = 3;
 
+/// What a node of the tree is, for whoever walks it from the root.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum KdNode {
+    /// A cell.
+    Leaf(CellId),
+    /// Its two children.
+    Inner([u32; 2]),
+}
+
 /// A cell under way.
 struct Open {
     node: usize,
@@ -217,6 +226,17 @@ impl KdTree {
     /// What the build came to.
     pub fn stats(&self) -> KdStats {
         self.stats
+    }
+
+    /// Number of nodes; node 0 is the root, and children come after their parents.
+    pub(crate) fn node_count(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// What a node is.
+    pub(crate) fn node(&self, index: u32) -> KdNode {
+        let Node { first, axis, .. } = self.nodes[index as usize];
+        if axis == LEAF { KdNode::Leaf(first) } else { KdNode::Inner([first, first + 1]) }
     }
 
     fn visit(&self, index: u32, point: DVec3, radius: f64, found: &mut dyn FnMut(CellId)) {

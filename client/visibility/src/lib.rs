@@ -18,6 +18,7 @@ mod facets;
 mod front_to_back;
 mod hierarchical_z;
 mod kd_tree;
+mod large_occluder;
 mod load;
 mod masked;
 mod masked_cplp;
@@ -51,6 +52,7 @@ pub use dynamic_index::DynamicOctree;
 pub use front_to_back::QueryFrontToBack;
 pub use hierarchical_z::HierarchicalZ;
 pub use kd_tree::{KdRules, KdStats, KdTree};
+pub use large_occluder::{LargeOccluder, LargeOccluderRules, LargeOccluderScratch, LargeOccluderStats};
 pub use load::{
     LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats, pack_glb,
 };

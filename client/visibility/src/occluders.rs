@@ -404,59 +404,38 @@ impl Occluders {
     }
 
     fn find_joints(&mut self) {
-        // Edges by the line that they lie on. Only lines that are *exactly* the same count: those through the same two
-        // corners, and those parallel to an axis with the same other two coordinates (where pieces of wall of different
-        // length meet).
-        let mut lines: std::collections::BTreeMap<[u32; 6], Vec<EdgeOnLine>> = std::collections::BTreeMap::new();
+        let mut all = Vec::new();
         for polygon in 0..self.polygons.len() as u32 {
             let corners = self.corners(polygon);
-            for (edge, from) in corners.iter().enumerate() {
-                let to = corners[(edge + 1) % corners.len()];
-                let (low, high) = if from.to_array() < to.to_array() { (*from, to) } else { (to, *from) };
-                let along = (to - *from).abs();
-                let moves: Vec<usize> = (0..3).filter(|&axis| along[axis] != 0.0).collect();
-                let mut key = [0; 6];
-                if let [axis] = moves[..] {
-                    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-                    key = [u32::MAX, u32::MAX, u32::MAX, axis as u32, low[u].to_bits(), low[v].to_bits()];
-                } else {
-                    key[..3].copy_from_slice(&low.to_array().map(f32::to_bits));
-                    key[3..].copy_from_slice(&high.to_array().map(f32::to_bits));
-                }
-                let forward = low == *from;
-                lines.entry(key).or_default().push(EdgeOnLine { polygon, edge: edge as u32, low, high, forward });
-            }
+            all.extend(
+                (0..).zip(corners).map(|(edge, &from)| {
+                    LineEdge::new(polygon, edge, from, corners[(edge as usize + 1) % corners.len()])
+                }),
+            );
         }
-        for edges in lines.values_mut() {
-            edges.sort_by(|a, b| a.low.to_array().partial_cmp(&b.low.to_array()).expect("corners are finite"));
-            for (i, a) in edges.iter().enumerate() {
-                for b in &edges[i + 1..] {
-                    if b.low.to_array() >= a.high.to_array() {
-                        break;
-                    }
-                    let high = if a.high.to_array() < b.high.to_array() { a.high } else { b.high };
-                    if a.polygon == b.polygon || f64::from(high.distance(b.low)) < JOINT_MIN {
-                        continue;
-                    }
-                    // Of two polygons that are only seen from the front, edges in one direction lie on one side.
-                    let opposite = a.forward != b.forward;
-                    let front_only = |polygon: u32| {
-                        let polygon = &self.polygons[polygon as usize];
-                        polygon.shell.is_some() || !polygon.two_sided
-                    };
-                    if !opposite && front_only(a.polygon) && front_only(b.polygon) {
-                        continue;
-                    }
-                    self.joints.push(Joint {
-                        polygons: [a.polygon, b.polygon],
-                        edges: [a.edge, b.edge],
-                        opposite,
-                        ends: [b.low.as_dvec3(), high.as_dvec3()],
-                        fold: self.fold(a.polygon, a.edge, b.polygon),
-                    });
-                }
+        let mut joints = Vec::new();
+        overlaps_on_lines(all, |a, b, low, high| {
+            if a.polygon == b.polygon || f64::from(high.distance(low)) < JOINT_MIN {
+                return;
             }
-        }
+            // Of two polygons that are only seen from the front, edges in one direction lie on one side.
+            let opposite = a.forward != b.forward;
+            let front_only = |polygon: u32| {
+                let polygon = &self.polygons[polygon as usize];
+                polygon.shell.is_some() || !polygon.two_sided
+            };
+            if !opposite && front_only(a.polygon) && front_only(b.polygon) {
+                return;
+            }
+            joints.push(Joint {
+                polygons: [a.polygon, b.polygon],
+                edges: [a.edge, b.edge],
+                opposite,
+                ends: [low.as_dvec3(), high.as_dvec3()],
+                fold: self.fold(a.polygon, a.edge, b.polygon),
+            });
+        });
+        self.joints = joints;
         let mut lists = vec![Vec::new(); self.polygons.len()];
         for (index, joint) in self.joints.iter().enumerate() {
             let [p, q] = joint.polygons;
@@ -471,12 +450,60 @@ impl Occluders {
     }
 }
 
-struct EdgeOnLine {
-    polygon: u32,
-    edge: u32,
-    low: Vec3,
-    high: Vec3,
-    forward: bool,
+/// An edge of a polygon as a part of its line.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LineEdge {
+    pub polygon: u32,
+    /// From corner `edge` to the next.
+    pub edge: u32,
+    /// The end with the lesser coordinates, and the other.
+    pub low: Vec3,
+    pub high: Vec3,
+    /// Whether it runs from `low` to `high`.
+    pub forward: bool,
+}
+
+impl LineEdge {
+    pub(crate) fn new(polygon: u32, edge: u32, from: Vec3, to: Vec3) -> LineEdge {
+        let (low, high) = if from.to_array() < to.to_array() { (from, to) } else { (to, from) };
+        LineEdge { polygon, edge, low, high, forward: low == from }
+    }
+
+    /// Equal for edges on one line. Only lines that are *exactly* the same count: those through the same two corners, and
+    /// those parallel to an axis with the same other two coordinates (where pieces of wall of different length meet).
+    fn line(&self) -> [u32; 6] {
+        let along = (self.high - self.low).abs();
+        let moves: Vec<usize> = (0..3).filter(|&axis| along[axis] != 0.0).collect();
+        let mut key = [0; 6];
+        if let [axis] = moves[..] {
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            key = [u32::MAX, u32::MAX, u32::MAX, axis as u32, self.low[u].to_bits(), self.low[v].to_bits()];
+        } else {
+            key[..3].copy_from_slice(&self.low.to_array().map(f32::to_bits));
+            key[3..].copy_from_slice(&self.high.to_array().map(f32::to_bits));
+        }
+        key
+    }
+}
+
+/// Calls `overlap` for each pair of edges that share a stretch of one line, with the stretch's ends.
+pub(crate) fn overlaps_on_lines(edges: Vec<LineEdge>, mut overlap: impl FnMut(&LineEdge, &LineEdge, Vec3, Vec3)) {
+    let mut lines: std::collections::BTreeMap<[u32; 6], Vec<LineEdge>> = std::collections::BTreeMap::new();
+    for edge in edges {
+        lines.entry(edge.line()).or_default().push(edge);
+    }
+    for edges in lines.values_mut() {
+        edges.sort_by(|a, b| a.low.to_array().partial_cmp(&b.low.to_array()).expect("corners are finite"));
+        for (i, a) in edges.iter().enumerate() {
+            for b in &edges[i + 1..] {
+                if b.low.to_array() >= a.high.to_array() {
+                    break;
+                }
+                let high = if a.high.to_array() < b.high.to_array() { a.high } else { b.high };
+                overlap(a, b, b.low, high);
+            }
+        }
+    }
 }
 
 fn edges(corners: &[u32]) -> impl Iterator<Item = (u32, u32)> + '_ {

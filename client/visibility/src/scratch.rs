@@ -5,8 +5,8 @@ use std::sync::Arc;
 use crate::front_to_back::Leaves;
 use crate::hierarchical_z::PyramidImage;
 use crate::{
-    Bound, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, MaskedCplpScratch, Occluders, Occlusion, QueryBackEnd,
-    QueryKind, Resolution, Triangle, UnderOcclusion, View,
+    Bound, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, LargeOccluderScratch, MaskedCplpScratch, Occluders,
+    Occlusion, QueryBackEnd, QueryKind, Resolution, Triangle, UnderOcclusion, View,
 };
 
 /// What one worker needs to cull. What a culler does not use stays empty.
@@ -17,6 +17,7 @@ pub struct Scratch {
     pub(crate) leaves: Leaves,
     pyramid: PyramidImage,
     masked: MaskedCplpScratch,
+    large: LargeOccluderScratch,
     under: Option<UnderOcclusion>,
     query: Option<(QueryKind, CpuQuery)>,
     speaker: Speaker,
@@ -30,6 +31,7 @@ enum Speaker {
     Pyramid,
     Query,
     Masked,
+    Large,
     Under,
 }
 
@@ -42,6 +44,7 @@ impl Default for Scratch {
             leaves: Leaves::default(),
             pyramid: PyramidImage::new(&nowhere),
             masked: MaskedCplpScratch::default(),
+            large: LargeOccluderScratch::default(),
             under: None,
             query: None,
             speaker: Speaker::Nothing,
@@ -58,6 +61,7 @@ impl Scratch {
             (Speaker::Pyramid, ..) => &self.pyramid,
             (Speaker::Query, Some((_, query)), _) => query.depth(),
             (Speaker::Masked, ..) => self.masked.image(),
+            (Speaker::Large, ..) => &self.large,
             (Speaker::Under, _, Some(under)) => under,
             _ => &NothingHidden,
         }
@@ -86,6 +90,16 @@ impl Scratch {
     /// What the last walk of a [`crate::MaskedCplp`] left.
     pub fn masked(&self) -> &MaskedCplpScratch {
         &self.masked
+    }
+
+    /// What the last walk of a [`crate::LargeOccluder`] left, with the relations that it keeps.
+    pub fn large(&self) -> &LargeOccluderScratch {
+        &self.large
+    }
+
+    /// The same, to have its relations forgotten.
+    pub fn large_mut(&mut self) -> &mut LargeOccluderScratch {
+        &mut self.large
     }
 
     /// What the last traversal of a [`crate::CplpCuller`] or [`crate::CplpQueryCuller`] left.
@@ -129,6 +143,13 @@ impl Scratch {
     /// Likewise for a walk against coverage masks.
     pub(crate) fn begin_masked(&mut self, view: &View, region: EyeRegion) -> Option<&mut MaskedCplpScratch> {
         self.speak(Speaker::Masked, view, region).then_some(&mut self.masked)
+    }
+
+    /// Likewise for planes instead of an image, which speak for any ball of eyes.
+    pub(crate) fn begin_large(&mut self, view: &View, region: EyeRegion) -> Option<&mut LargeOccluderScratch> {
+        let speaks = view.check().is_ok() && crate::large_occluder::is_ball(region);
+        self.speaker = if speaks { Speaker::Large } else { Speaker::Nothing };
+        speaks.then_some(&mut self.large)
     }
 
     /// Likewise for a culler that draws into a query back end. The back end is kept while its kind is.

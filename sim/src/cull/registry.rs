@@ -8,8 +8,9 @@ use std::sync::Arc;
 
 use eyeline_visibility::{
     Aabb, Budget, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, DepthBuffer, EyeRegion,
-    FrustumBackface, HierarchicalZ, KdRules, KdTree, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules,
-    QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, Triangle, View, ZBuffer,
+    FrustumBackface, HierarchicalZ, KdRules, KdTree, LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders,
+    Occlusion, Octree, OctreeRules, QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch,
+    Tessellation, Triangle, View, ZBuffer,
 };
 
 use super::picture::Layer;
@@ -298,6 +299,29 @@ impl Registry {
                 make: |shop, _| Box::new(WithScratch::new(FrustumBackface::new(shop.scene()))),
             },
             Entry {
+                name: "frustum",
+                about: "what is in view, by a kD-tree's nodes, objects and clusters: Coorg & Teller's baseline",
+                conservative: true,
+                by_rays: false,
+                tessellations: &[],
+                queries: &[],
+                budgets: false,
+                make: |shop, _| {
+                    let rules = LargeOccluderRules::default().with_occluders(0);
+                    Box::new(WithScratch::new(LargeOccluder::new(shop.scene(), rules)))
+                },
+            },
+            Entry {
+                name: "large-occluder",
+                about: "nodes of a kD-tree against planes of a few large polygons, kept from frame to frame (Coorg & Teller)",
+                conservative: true,
+                by_rays: false,
+                tessellations: &[],
+                queries: &["planes"],
+                budgets: false,
+                make: |shop, _| Box::new(WithScratch::new(LargeOccluder::build(shop.scene()))),
+            },
+            Entry {
                 name: "masked",
                 about: "conservative PLP against coverage masks: faces of cells are asked about, then objects and clusters",
                 conservative: true,
@@ -493,6 +517,8 @@ mod tests {
         let best = [
             "zbuffer",
             "frustum-backface",
+            "frustum",
+            "large-occluder · planes",
             "masked · kd-tree · masks",
             "cplp · octree · sampled · 100",
             "query-front-to-back · octree · sampled",
@@ -521,7 +547,8 @@ mod tests {
         let message = |sweep: &Sweep| registry.settings(sweep).unwrap_err().to_string();
         let text = message(&sweep(&["cplp", "plpp"], &[], &[], &[]));
         assert!(
-            text.contains("no culler `plpp`") && text.contains("zbuffer, frustum-backface, masked, cplp"),
+            text.contains("no culler `plpp`")
+                && text.contains("zbuffer, frustum-backface, frustum, large-occluder, masked, cplp"),
             "{text}"
         );
         assert!(message(&sweep(&[], &["bsp"], &[], &[])).contains("no tessellation `bsp`; known: kd-tree, octree"));

@@ -67,8 +67,7 @@ fn row(counted: &LcaRow, update: Update, index: IndexKind, ms: f64) -> TrackRow 
 
 /// Milliseconds a step, whole and under the ancestor: the least of several stretches, run in turn.
 fn step_ms(scene: &LcaScene, references: References) -> [f64; 2] {
-    let mut trees: [SplitOctree; 2] =
-        [Update::Whole, Update::UnderLca].map(|update| scene.tree(references, update));
+    let mut trees: [SplitOctree; 2] = [Update::Whole, Update::UnderLca].map(|update| scene.tree(references, update));
     let (mut least, stretch) = ([f64::INFINITY; 2], STEPS / 10);
     for number in 0..10 {
         for (tree, least) in trees.iter_mut().zip(&mut least) {

@@ -82,14 +82,34 @@ pub struct Mover {
 
 #[derive(Clone, Debug)]
 enum Way {
-    Preset { path: Arc<Path>, lift: f64, time_s: f64 },
+    Preset {
+        path: Arc<Path>,
+        lift: f64,
+        time_s: f64,
+    },
     /// To `target`, then to another point of `within`.
-    Targets { within: Rect, target: DVec2, speed: f64, chance: Pcg64, dashes: bool, rest_s: f64 },
+    Targets {
+        within: Rect,
+        target: DVec2,
+        speed: f64,
+        chance: Pcg64,
+        dashes: bool,
+        rest_s: f64,
+    },
     /// Along a line between two points.
-    Line { ends: [DVec2; 2], toward: usize },
+    Line {
+        ends: [DVec2; 2],
+        toward: usize,
+    },
     /// A sum of sines along each axis.
-    Sines { centre: DVec2, terms: [[(f64, f64, f64); 2]; 2], time_s: f64 },
-    Spin { rate: f64 },
+    Sines {
+        centre: DVec2,
+        terms: [[(f64, f64, f64); 2]; 2],
+        time_s: f64,
+    },
+    Spin {
+        rate: f64,
+    },
 }
 
 impl Mover {
@@ -107,9 +127,8 @@ impl Mover {
     /// [`MotionKind::DoorFrame`] goes along the rectangle's middle line, which should lie across a door; [`MotionKind::Preset`]
     /// needs a path and is taken as [`MotionKind::Random`].
     pub fn within(kind: MotionKind, within: Rect, height: f64, speed_max: f64, mut chance: Pcg64) -> Mover {
-        let random_point = |chance: &mut Pcg64| {
-            within.min + (within.max - within.min) * DVec2::new(chance.random(), chance.random())
-        };
+        let random_point =
+            |chance: &mut Pcg64| within.min + (within.max - within.min) * DVec2::new(chance.random(), chance.random());
         let start = random_point(&mut chance);
         let yaw = chance.random_range(0.0..TAU);
         let mut at = start;
@@ -305,7 +324,10 @@ mod tests {
                     assert!(step <= mover.speed_max() * 0.05 + 1e-9, "{kind:?} steps {step} m");
                     let foreseen = before.position + before.velocity * 0.05;
                     let strayed = place.position.distance(foreseen);
-                    assert!(strayed <= 0.5 * mover.acceleration_max() * 0.05 * 0.05 + 1e-9, "{kind:?} strays {strayed}");
+                    assert!(
+                        strayed <= 0.5 * mover.acceleration_max() * 0.05 * 0.05 + 1e-9,
+                        "{kind:?} strays {strayed}"
+                    );
                     walked += step;
                     turned += (place.yaw - before.yaw).abs();
                     before = place;

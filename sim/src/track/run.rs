@@ -177,7 +177,8 @@ pub fn run(
         for (contender, chance) in contenders.iter_mut().zip(&mut chances) {
             if contender.setting.violated > 0.0 {
                 for object in 0..world.objects.len() as u32 {
-                    if contender.tracker.bound(object).is_some() && chance.random::<f64>() < contender.setting.violated {
+                    if contender.tracker.bound(object).is_some() && chance.random::<f64>() < contender.setting.violated
+                    {
                         contender.tracker.handle_violation(object);
                     }
                 }

@@ -212,9 +212,7 @@ pub fn points(name: &str, options: &SweepOptions) -> Vec<SweepPoint> {
             .map(|side| with(f64::from(4 * side * side), rules([side, side], Chairs::PerRoom(4)), four(options), run))
             .to_vec(),
         "dynamic" => [25, 50, 100, 200, 400, 800]
-            .map(|total| {
-                with(f64::from(total), random(rules([25, 5], Chairs::Total(total))), four(options), run)
-            })
+            .map(|total| with(f64::from(total), random(rules([25, 5], Chairs::Total(total))), four(options), run))
             .to_vec(),
         "hidden" => [100, 300, 1_000, 3_000, 10_000]
             .map(|hidden| {
@@ -325,15 +323,9 @@ pub fn points(name: &str, options: &SweepOptions) -> Vec<SweepPoint> {
             .into_iter()
             .enumerate()
             .map(|(number, eye)| {
-                let world =
-                    TrackRules { eye, motion: MotionKind::ALL.to_vec(), ..rules([3, 3], Chairs::PerRoom(3)) };
-                let run = RunRules {
-                    settle: 0,
-                    frames: 20_000,
-                    resolution: Resolution::new(64, 64),
-                    truth_every: 1,
-                    ..run
-                };
+                let world = TrackRules { eye, motion: MotionKind::ALL.to_vec(), ..rules([3, 3], Chairs::PerRoom(3)) };
+                let run =
+                    RunRules { settle: 0, frames: 20_000, resolution: Resolution::new(64, 64), truth_every: 1, ..run };
                 with(number as f64, world, four(options), run)
             })
             .collect(),
@@ -506,8 +498,7 @@ pub fn lines(rows: &[TrackRow]) -> Vec<(String, Vec<&TrackRow>)> {
 
 /// The slope of the least-squares line through the logarithms of some points. Points without a logarithm are left out.
 pub fn exponent(points: impl Iterator<Item = (f64, f64)>) -> f64 {
-    let logs: Vec<(f64, f64)> =
-        points.filter(|(x, y)| *x > 0.0 && *y > 0.0).map(|(x, y)| (x.ln(), y.ln())).collect();
+    let logs: Vec<(f64, f64)> = points.filter(|(x, y)| *x > 0.0 && *y > 0.0).map(|(x, y)| (x.ln(), y.ln())).collect();
     let count = logs.len() as f64;
     let (mean_x, mean_y) =
         (logs.iter().map(|p| p.0).sum::<f64>() / count, logs.iter().map(|p| p.1).sum::<f64>() / count);

@@ -126,7 +126,8 @@ impl TrackWorld {
                 occludes: true,
             })
             .collect();
-        let reach = mesh.iter().flat_map(|triangle| triangle.corners).map(|c| c.as_dvec3().length()).fold(0.0, f64::max);
+        let reach =
+            mesh.iter().flat_map(|triangle| triangle.corners).map(|c| c.as_dvec3().length()).fold(0.0, f64::max);
         let plan = Arc::new(made.plan);
         let middle_room = plan.rooms.len() / 2 + if rules.rooms[1] % 2 == 0 { rules.rooms[0] as usize / 2 } else { 0 };
         let eye = match rules.eye {
@@ -212,7 +213,8 @@ impl TrackWorld {
         HierarchicalZ::build(self.scene.clone()).cull(&view, EyeRegion::point(view.eye), &mut scratch);
         let height = plan.rules.height;
         let seen = |rect: &Rect| {
-            let aabb = Aabb::new(DVec3::new(rect.min.x, 0.1, rect.min.y), DVec3::new(rect.max.x, height - 0.1, rect.max.y));
+            let aabb =
+                Aabb::new(DVec3::new(rect.min.x, 0.1, rect.min.y), DVec3::new(rect.max.x, height - 0.1, rect.max.y));
             !scratch.occlusion().hides(&Bound::Box(aabb))
         };
         plan.rooms.iter().map(|room| seen(&room.clear)).collect()

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use eyeline_visibility::{
     Budget, Cplp, CplpCuller, CplpQueryCuller, Culler, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree,
-    MaskedCplp, Occluders, Octree, OctreeRules, QueryFrontToBack, QueryKind, RegionCuller, Scene, Scratch,
-    Tessellation, View, ZBuffer, exact_set, wrong_pixels,
+    LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Octree, OctreeRules, QueryFrontToBack, QueryKind,
+    RegionCuller, Scene, Scratch, Tessellation, View, ZBuffer, exact_set, wrong_pixels,
 };
 
 /// A culler and what failures call it.
@@ -42,6 +42,7 @@ pub fn cullers(scene: &Arc<Scene>) -> Vec<Named> {
         named("cPLP in a kD-tree", CplpCuller::new(scene.clone(), in_kd.clone(), Budget::default())),
         named("front to back", QueryFrontToBack::new(scene.clone(), octree.clone())),
         named("hierarchical Z", HierarchicalZ::new(scene.clone(), octree.clone())),
+        named("large occluders", LargeOccluder::build(scene.clone())),
         named(FROM_A_REGION, RegionCuller::new(scene.clone(), in_kd, occluders, 64 * 64)),
     ];
     cullers.extend(masked(scene, octree, "an octree"));
@@ -69,6 +70,9 @@ pub fn odd_cullers(scene: &Arc<Scene>) -> Vec<Named> {
         ("a kD-tree of small cells", Arc::new(KdTree::build(scene, kd))),
         ("a kD-tree without skin", Arc::new(KdTree::build(scene, kd.with_skin(0.0)))),
     ];
+    let rules = LargeOccluderRules::default().with_cells(kd.with_skin(0.0)).with_area_min(0.0);
+    cullers.push(named("large occluders, small cells", LargeOccluder::new(scene.clone(), rules.with_occluders(64))));
+    cullers.push(named("large occluders, one each", LargeOccluder::new(scene.clone(), rules.with_occluders(1))));
     for (name, cells) in cells {
         let cplp = Arc::new(Cplp::new(cells.clone()));
         for triangles in [0, 50, usize::MAX] {
@@ -88,6 +92,11 @@ pub fn odd_cullers(scene: &Arc<Scene>) -> Vec<Named> {
 /// truth.
 fn answers_for(name: &str, view: &View) -> bool {
     name != FROM_A_REGION || view.eye.length() < 1e6
+}
+
+/// Whether a culler answers for balls of eyes too; others keep everything then.
+pub fn answers_for_balls(name: &str) -> bool {
+    name == FROM_A_REGION || name.starts_with("large occluders")
 }
 
 /// The name of the [`RegionCuller`].
