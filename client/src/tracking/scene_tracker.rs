@@ -7,7 +7,8 @@
 //!
 //! Step 3 changes T while it walks it. The changes are buffered as §3.3 discusses: the walk first lists what is exposed, then
 //! each exposed bound gives way to its object's present configuration, which is tested at once. So nothing has to be walked
-//! twice, and no object waits for the next frame.
+//! twice, and no object waits for the next frame. What expired is looked at in the same way, and enters T when it is known as
+//! what: as itself if it is in sight, else as its next bound.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -165,7 +166,6 @@ pub struct SceneTracker {
     /// Kept to spare allocations.
     keys: Vec<u32>,
     pieces: Vec<Bound>,
-    due: Vec<u32>,
 }
 
 impl SceneTracker {
@@ -192,7 +192,6 @@ impl SceneTracker {
             now: WorldTime::MIN,
             keys: Vec::new(),
             pieces: Vec::new(),
-            due: Vec::new(),
         }
     }
 
@@ -238,7 +237,7 @@ impl SceneTracker {
         let mut stats = FrameStats::default();
         let visits = self.index.update_visits();
         self.frames += 1;
-        let expired = self.expire(input.now, &mut stats);
+        let (expired, due) = self.expire(input.now, &mut stats);
         if self.variant == Variant::NoHierarchy {
             for &object in &self.visible {
                 agents.configuration(object);
@@ -248,30 +247,40 @@ impl SceneTracker {
             stats.shown += self.visible.len() as u64;
             return stats;
         }
-        // Step 2. Under TBVi, only what T does not have.
-        let is_moved = |object: &&u32| match self.variant {
-            Variant::Implicit => self.entries.get(object).is_some_and(|entry| entry.keys.is_empty()),
-            _ => true,
-        };
-        let told: BTreeSet<u32> = self.visible.iter().filter(is_moved).copied().collect();
-        for &object in &told {
-            self.update_visible(object, agents, &mut stats);
-        }
-        let exposed = self.display(&input, agents, image, &told, &mut stats);
+        // What is looked at directly in step 3: T has an old bound of it, or nothing.
+        let mut fresh = due.clone();
         if self.variant.uses_bounds() {
-            self.hide(&input, agents, image.occlusion(), &expired, &exposed, &told, &mut stats);
+            fresh.extend(self.visible.iter().filter(|object| self.entries[object].keys.is_empty()));
+        }
+        fresh.sort_unstable();
+        fresh.dedup();
+        // Step 2, which TBVi leaves out.
+        if self.variant != Variant::Implicit {
+            let moved: Vec<u32> =
+                self.visible.iter().filter(|object| fresh.binary_search(object).is_err()).copied().collect();
+            for object in moved {
+                stats.updates += 1;
+                let bound = agents.configuration(object);
+                self.enter_t(object, &[bound]);
+                self.debug_check(object);
+            }
+        }
+        let exposed = self.display(&input, agents, image, &fresh, &mut stats);
+        if self.variant.uses_bounds() {
+            self.hide(&input, agents, image.occlusion(), (&expired, &due, &exposed), &mut stats);
         }
         stats.work += self.index.update_visits() - visits;
         self.debug_check_sums();
         stats
     }
 
-    /// Step 1: TBVs whose time is up, and broken ones. Returns whose they were.
-    fn expire(&mut self, now: WorldTime, stats: &mut FrameStats) -> Vec<u32> {
-        let mut due = std::mem::take(&mut self.due);
-        due.clear();
-        self.queue.expire(now, &mut due);
-        stats.expired += due.len() as u64;
+    /// Step 1. Returns whose bounds expired, and with them those whose bounds are void for another reason: both ascending.
+    fn expire(&mut self, now: WorldTime, stats: &mut FrameStats) -> (Vec<u32>, Vec<u32>) {
+        let mut expired = Vec::new();
+        self.queue.expire(now, &mut expired);
+        expired.sort_unstable();
+        stats.expired += expired.len() as u64;
+        let mut due = expired.clone();
         if now < self.now {
             let void = self.entries.iter().filter(|(_, entry)| match &entry.state {
                 State::Hidden(bound) => bound.issued() > now,
@@ -280,18 +289,14 @@ impl SceneTracker {
             due.extend(void.map(|(&object, _)| object));
         }
         self.now = now;
-        for object in std::mem::take(&mut self.violated) {
-            stats.violated += 1;
-            due.push(object);
-        }
+        stats.violated += self.violated.len() as u64;
+        due.extend(std::mem::take(&mut self.violated));
         due.sort_unstable();
         due.dedup();
         for &object in &due {
             self.delete_bound(object);
         }
-        let expired = due.clone();
-        self.due = due;
-        expired
+        (expired, due)
     }
 
     /// Step 3. Returns whose bounds were exposed.
@@ -300,26 +305,35 @@ impl SceneTracker {
         input: &FrameInput,
         agents: &mut dyn Agents,
         image: &mut dyn Image,
-        told: &BTreeSet<u32>,
+        fresh: &[u32],
         stats: &mut FrameStats,
     ) -> BTreeSet<u32> {
         let mut keys = std::mem::take(&mut self.keys);
         keys.clear();
         stats.work += self.index.exposed(image.occlusion(), &mut keys) as u64;
-        let seen: BTreeSet<u32> =
-            keys.iter().filter_map(|&key| self.owners.get(key as usize).copied().flatten()).collect();
+        let owners = keys.iter().filter_map(|&key| self.owners.get(key as usize).copied().flatten());
+        let seen: BTreeSet<u32> = owners.filter(|object| fresh.binary_search(object).is_err()).collect();
         self.keys = keys;
-        let distance = |object: &u32| self.entries.get(object).map_or(0.0, |entry| nearest(&entry.volume, input.eye));
-        let mut candidates: Vec<(f64, u32)> = seen.iter().map(|object| (distance(object), *object)).collect();
+        let mut candidates: Vec<(f64, u32, Option<Bound>)> =
+            seen.iter().map(|&object| (nearest(&self.entries[&object].volume, input.eye), object, None)).collect();
+        for &object in fresh {
+            stats.updates += 1;
+            let bound = agents.configuration(object);
+            stats.work += 1;
+            if !image.occlusion().hides(&bound) {
+                candidates.push((nearest(&[bound], input.eye), object, Some(bound)));
+            }
+        }
         candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let mut exposed = BTreeSet::new();
+        // What was drawn since the walk may hide more.
         let mut has_grown = false;
-        for (_, object) in candidates {
+        for (_, object, mut present) in candidates {
             let Some(entry) = self.entries.get(&object) else { continue };
-            // What was drawn since the walk may hide it.
             if has_grown {
-                stats.work += entry.volume.len() as u64;
-                if entry.volume.iter().all(|bound| image.occlusion().hides(bound)) {
+                let volume = present.as_ref().map_or(&entry.volume[..], std::slice::from_ref);
+                stats.work += volume.len() as u64;
+                if volume.iter().all(|bound| image.occlusion().hides(bound)) {
                     continue;
                 }
             }
@@ -328,18 +342,24 @@ impl SceneTracker {
                     stats.exposed += 1;
                     exposed.insert(object);
                     self.delete_bound(object);
-                    let bound = self.update_visible(object, agents, stats);
+                    stats.updates += 1;
+                    let bound = agents.configuration(object);
                     stats.work += 1;
                     if image.occlusion().hides(&bound) {
                         continue;
                     }
+                    present = Some(bound);
                 }
                 // Displayed as it is now, wherever T has it.
-                State::Visible if self.variant == Variant::Implicit && !told.contains(&object) => {
+                State::Visible if self.variant == Variant::Implicit && present.is_none() => {
                     stats.updates += 1;
                     agents.configuration(object);
                 }
                 State::Visible => {}
+            }
+            if let Some(bound) = present {
+                self.enter_t(object, &[bound]);
+                self.debug_check(object);
             }
             has_grown |= image.draw(object);
             stats.shown += 1;
@@ -356,9 +376,7 @@ impl SceneTracker {
         input: &FrameInput,
         agents: &mut dyn Agents,
         occlusion: &dyn Occlusion,
-        expired: &[u32],
-        exposed: &BTreeSet<u32>,
-        told: &BTreeSet<u32>,
+        (expired, due, exposed): (&[u32], &[u32], &BTreeSet<u32>),
         stats: &mut FrameStats,
     ) {
         let is_unseen = |object: &&u32| self.entries.get(object).is_some_and(|entry| entry.observed < self.frames);
@@ -366,18 +384,20 @@ impl SceneTracker {
         for object in unseen {
             let Some(entry) = self.entries.get_mut(&object) else { continue };
             // §3.4: hidden when its time was up, so it could have been longer; hidden when its bound came into view, so it was
-            // too long. What has just gone out of view starts anew.
+            // too long. A broken bound says nothing about its length. What has just gone out of view starts anew.
+            let is_due = due.binary_search(&object).is_ok();
             if expired.binary_search(&object).is_ok() {
                 self.validity.lengthen(&mut entry.period);
             } else if exposed.contains(&object) {
                 self.validity.shorten(&mut entry.period);
-            } else {
+            } else if !is_due {
                 entry.period = self.validity.first();
             }
             let period = entry.period;
-            let is_update_in_vain = told.contains(&object) || exposed.contains(&object);
             stats.bounds += 1;
-            stats.hidden_caused += 1 + u64::from(is_update_in_vain);
+            // The bound, and the configuration that was obtained for nothing: of TBVi's visible objects, none was.
+            let was_looked_at = is_due || exposed.contains(&object);
+            stats.hidden_caused += 1 + u64::from(was_looked_at || self.variant != Variant::Implicit);
             let bound = match self.validity {
                 // Chosen here, from one bound, without further messages.
                 Validity::Exact { longest } => {
@@ -398,7 +418,6 @@ impl SceneTracker {
                     agents.temporal_bound(object, input.now + chosen)
                 }
             };
-            self.leave_t(object);
             self.visible.remove(&object);
             let mut pieces = std::mem::take(&mut self.pieces);
             pieces.clear();
@@ -413,9 +432,9 @@ impl SceneTracker {
         }
     }
 
-    /// The paper's `del_TBV`: the object is potentially visible again.
+    /// The paper's `del_TBV`: the object is potentially visible again. T keeps the volume until the next one takes its place:
+    /// to move it under a least common ancestor costs less than to delete it and to insert another.
     fn delete_bound(&mut self, object: u32) {
-        self.leave_t(object);
         self.queue.cancel(object);
         self.violated.remove(&object);
         if let Some(entry) = self.entries.get_mut(&object) {
@@ -423,15 +442,6 @@ impl SceneTracker {
             self.visible.insert(object);
         }
         self.debug_check(object);
-    }
-
-    /// The paper's `upd_vis`: T gets the object as it is now.
-    fn update_visible(&mut self, object: u32, agents: &mut dyn Agents, stats: &mut FrameStats) -> Bound {
-        stats.updates += 1;
-        let bound = agents.configuration(object);
-        self.enter_t(object, &[bound]);
-        self.debug_check(object);
-        bound
     }
 
     /// Puts these volumes into T in place of what stands for the object there. Keys that are kept move, so that T can update
