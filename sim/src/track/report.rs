@@ -99,6 +99,9 @@ fn plots(swept: &Swept) -> Vec<Plot> {
             line("work", Axis::linear("work per frame"), &|row| (row.violated, row.work)),
             line("time", Axis::linear("cull and track (ms)"), &|row| (row.violated, row.frame_ms)),
         ],
+        "calibrated" => vec![line("messages", Axis::linear("messages of hidden objects per frame"), &|row| {
+            (row.fuzzy, row.hidden_caused_per_frame)
+        })],
         "messages" => vec![line("messages", Axis::linear("updates + TBVs per frame"), &|row| {
             (row.x, row.updates_per_frame + row.bounds_per_frame)
         })],

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use eyeline_client::tracking::{
-    Agents, FrameInput, FrameStats, Image, SceneTracker, TbvShape, TemporalBound, Validity, Variant,
+    Agents, FrameInput, FrameStats, FuzzySpeeds, Image, SceneTracker, TbvShape, TemporalBound, Validity, Variant, broken,
 };
 use eyeline_protocol::WorldTime;
 use eyeline_visibility::{
@@ -72,6 +72,8 @@ pub struct TrackSetting {
     pub index: IndexKind,
     /// Share of the valid TBVs that is broken in each frame, as Fig. 14 simulates fuzzy TBVs.
     pub violated: f64,
+    /// Fuzzy TBVs that may be broken with this probability, made from how far objects were seen to go. 0: hard ones.
+    pub fuzzy: f64,
     /// Whether displayed objects hide what lies behind them.
     pub moving_occluders: bool,
 }
@@ -86,6 +88,7 @@ impl TrackSetting {
             validity: ADAPTIVE,
             index: IndexKind::Loose,
             violated: 0.0,
+            fuzzy: 0.0,
             moving_occluders: true,
         }
     }
@@ -97,6 +100,9 @@ pub const ADAPTIVE: Validity = Validity::Adaptive {
     shortest: Duration::from_millis(50),
     longest: Duration::from_secs(120),
 };
+
+/// Longest period for which fuzzy bounds are learned.
+const LEARNED: Duration = Duration::from_secs(30);
 
 /// How long and how closely to look.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -131,6 +137,9 @@ impl Default for RunRules {
 /// One setting while it runs.
 struct Contender {
     setting: TrackSetting,
+    fuzzy: Option<FuzzySpeeds>,
+    /// Bounds obtained, and those of them that were broken.
+    promises: [u64; 2],
     candidate: Box<dyn Candidate>,
     tracker: SceneTracker,
     culled: Culled,
@@ -183,6 +192,7 @@ pub fn run(
                     }
                 }
             }
+            contender.report_broken(world);
             contender.frame(world, rules, [counts, counts || is_compared], &mut truth);
             if is_compared {
                 contender.compare(world, &truth);
@@ -233,8 +243,12 @@ impl Contender {
         let index = setting.index.make(world);
         let mut tracker = SceneTracker::new(setting.variant, setting.validity, rules.frame_time, index);
         (0..world.objects.len() as u32).for_each(|object| tracker.insert(object));
+        let learn = |probability| world.learn(probability, rules.settle + rules.frames, rules.frame_time, LEARNED);
+        let fuzzy = (setting.fuzzy > 0.0).then_some(setting.fuzzy).map(learn).transpose()?;
         Ok(Contender {
             setting: setting.clone(),
+            fuzzy,
+            promises: [0; 2],
             candidate,
             tracker,
             culled: Culled::default(),
@@ -249,12 +263,27 @@ impl Contender {
         })
     }
 
+    /// Whoever moves an object says when it has broken its bound (§3.5).
+    fn report_broken(&mut self, world: &TrackWorld) {
+        if self.fuzzy.is_none() {
+            return;
+        }
+        for object in 0..world.objects.len() as u32 {
+            let Some(bound) = self.tracker.bound(object) else { continue };
+            if broken(bound, world.position(object), world.now()) {
+                self.promises[1] += 1;
+                self.tracker.handle_violation(object);
+            }
+        }
+    }
+
     fn frame(&mut self, world: &TrackWorld, rules: &RunRules, [counts, is_drawn]: [bool; 2], truth: &mut Truth) {
         let view = world.view(rules.resolution);
         let began = Instant::now();
         self.culled = self.candidate.cull(&view, EyeRegion::point(view.eye));
         self.shown.clear();
-        let mut agents = Owners { world, shape: self.setting.shape, placed: Vec::new() };
+        let fuzzy = self.fuzzy.as_ref();
+        let mut agents = Owners { world, shape: self.setting.shape, fuzzy, placed: Vec::new() };
         let mut image = Screen {
             world,
             candidate: &mut *self.candidate,
@@ -265,6 +294,7 @@ impl Contender {
         let input = FrameInput { now: world.now(), eye: view.eye, eye_moves: world.eye_moves() };
         let stats = self.tracker.frame(input, &mut agents, &mut image);
         let frame_ms = began.elapsed().as_secs_f64() * 1e3;
+        self.promises[0] += stats.bounds;
         if !is_drawn {
             return;
         }
@@ -316,7 +346,7 @@ impl Contender {
             let Some(bound) = self.tracker.bound(object) else { continue };
             pieces.clear();
             bound.volume(bound.expires(), &mut pieces);
-            let position = world.objects[object as usize].mover.place().position - world.scene.anchor();
+            let position = world.position(object);
             let holds = pieces.iter().any(|piece| contains(piece, position));
             self.row.broken_bounds += u64::from(!holds);
         }
@@ -359,6 +389,8 @@ impl Contender {
             visible,
             hidden: world.objects.len() as f64 - visible,
             violated: setting.violated,
+            fuzzy: setting.fuzzy,
+            broken_share: self.promises[1] as f64 / self.promises[0].max(1) as f64,
             frames: rules.frames,
             work: statics + tracking + drawing,
             work_static: statics,
@@ -414,6 +446,7 @@ fn contains(bound: &Bound, point: DVec3) -> bool {
 struct Owners<'a> {
     world: &'a TrackWorld,
     shape: TbvShape,
+    fuzzy: Option<&'a FuzzySpeeds>,
     placed: Vec<Triangle>,
 }
 
@@ -423,7 +456,7 @@ impl Agents for Owners<'_> {
     }
 
     fn temporal_bound(&mut self, object: u32, expires: WorldTime) -> TemporalBound {
-        self.world.temporal_bound(object, self.shape, expires)
+        self.world.temporal_bound(object, self.shape, self.fuzzy, expires)
     }
 }
 

@@ -1,9 +1,10 @@
 //! What is tracked: a building of rooms, chairs that move in it, and somebody who looks.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::Context;
-use eyeline_client::tracking::{MotionLimits, MotionState, TbvShape, TemporalBound};
+use eyeline_client::tracking::{FuzzySpeeds, MotionLimits, MotionState, TbvShape, TemporalBound};
 use eyeline_protocol::WorldTime;
 use eyeline_server::path::paths_of;
 use eyeline_visibility::{Aabb, Bound, LoadOptions, Resolution, Scene, Sides, Triangle, View, load_glb};
@@ -45,6 +46,8 @@ pub struct TrackRules {
     pub motion: Vec<MotionKind>,
     /// Who looks.
     pub eye: EyeKind,
+    /// The hard limit on speed over what is really reached: 1, or more where a limit is as loose as limits often are.
+    pub slack: f64,
     /// Decides everything else.
     pub seed: u64,
 }
@@ -85,6 +88,7 @@ pub struct TrackWorld {
     mesh: Vec<Triangle>,
     /// Distance of its farthest corner from there.
     reach: f64,
+    slack: f64,
     eye: Eye,
     now: WorldTime,
     frame: u64,
@@ -150,6 +154,7 @@ impl TrackWorld {
             objects: Vec::new(),
             mesh,
             reach: reach + 1e-4,
+            slack: rules.slack,
             eye,
             now: WorldTime::ZERO,
             frame: 0,
@@ -280,25 +285,60 @@ impl TrackWorld {
     }
 
     /// A TBV of a given shape, from now until `expires`. A shape that needs what is not known of the object's motion (a
-    /// trajectory, an acceleration) falls back to a sphere from speed.
-    pub fn temporal_bound(&self, object: u32, shape: TbvShape, expires: WorldTime) -> TemporalBound {
+    /// trajectory, an acceleration) falls back to a sphere from speed. With `fuzzy` speeds the sphere is one that may be
+    /// broken.
+    pub fn temporal_bound(
+        &self,
+        object: u32,
+        shape: TbvShape,
+        fuzzy: Option<&FuzzySpeeds>,
+        expires: WorldTime,
+    ) -> TemporalBound {
         let mover = &self.objects[object as usize].mover;
-        let place = mover.place();
-        let speed_max = mover.speed_max();
+        let speed_max = mover.speed_max() * self.slack;
         let limits = MotionLimits {
             speed_max,
             acceleration_max: mover.acceleration_max(),
             axis_speed_max: DVec3::new(speed_max, 0.0, speed_max),
             reach: self.reach,
         };
+        let state = MotionState { position: self.position(object), velocity: mover.place().velocity };
+        if let Some(fuzzy) = fuzzy {
+            return fuzzy.bound(state, limits, self.now, expires);
+        }
         let path = mover.trajectory(self.scene.anchor());
         let shape = match shape {
             TbvShape::Swept { .. } if path.is_none() => TbvShape::SpeedSphere,
             TbvShape::AccelerationSphere if !mover.acceleration_max().is_finite() => TbvShape::SpeedSphere,
             shape => shape,
         };
-        let state = MotionState { position: place.position - self.scene.anchor(), velocity: place.velocity };
         TemporalBound::new(shape, state, limits, path, self.now, expires)
+    }
+
+    /// Where an object's reference point is now, in the scene's coordinates.
+    pub fn position(&self, object: u32) -> DVec3 {
+        self.objects[object as usize].mover.place().position - self.scene.anchor()
+    }
+
+    /// Learns how far its objects go, from frames that come after the next `skip`.
+    ///
+    /// # Errors
+    /// If too little is seen of them for the probability.
+    pub fn learn(&self, probability: f64, skip: u64, frame_time: Duration, longest: Duration) -> anyhow::Result<FuzzySpeeds> {
+        let mut later = self.clone();
+        let step_s = frame_time.as_secs_f64();
+        for _ in 0..skip {
+            later.step(step_s);
+        }
+        let frames = 2 * (longest.as_secs_f64() / step_s).ceil() as u64;
+        let mut tracks: Vec<Vec<(WorldTime, DVec3)>> = vec![Vec::new(); self.objects.len()];
+        for _ in 0..frames {
+            later.step(step_s);
+            for (object, track) in (0..).zip(&mut tracks) {
+                track.push((later.now, later.position(object)));
+            }
+        }
+        Ok(FuzzySpeeds::calibrate(tracks.iter().map(Vec::as_slice), probability, frame_time, longest)?)
     }
 }
 
