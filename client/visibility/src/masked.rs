@@ -11,6 +11,7 @@
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 
 mod lanes;
+mod layers;
 mod merge;
 mod outline;
 mod pixels;

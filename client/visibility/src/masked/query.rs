@@ -9,7 +9,7 @@ use fearless_simd::{f32x8, f64x8};
 use glam::DVec3;
 
 use super::lanes::{Plane, TILE_X, TILE_Y, columns_outward, narrow, ramp, splat};
-use super::outline::{Detail, EDGES_MAX, Outline, tangents};
+use super::outline::{Detail, EDGES_MAX, Linear, Outline, tangents};
 use super::tiles::{BLOCK, BLOCKS_ASKED};
 use super::{Coverage, LOOP_MAX, MaskedDepth};
 use crate::Aabb;
@@ -17,6 +17,9 @@ use crate::raster_sampled::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
 
 /// Relative rounding of the transform, which cancels where a far corner lies beside the eye.
 const ROUNDING: f64 = 1e-12;
+
+/// By how much of the nearest depth a plane may change over a tile, to be asked in its place.
+const FLAT: f64 = 0.125;
 
 /// Where a thing is.
 #[expect(clippy::large_enum_variant, reason = "lives on the stack for one question")]
@@ -283,6 +286,10 @@ impl MaskedDepth {
         let detail = outline.detail(simd, projector);
         let tiles_x = [asked.x[0] as usize / TILE_X, asked.x[1] as usize / TILE_X];
         let tiles_y = [asked.y[0] as usize / TILE_Y, asked.y[1] as usize / TILE_Y];
+        // A plane that hardly changes over a tile tells as much as the nearest depth.
+        let flat =
+            |plane: &Linear| plane.x.abs() * TILE_X as f64 + plane.y.abs() * TILE_Y as f64 <= f64::from(asked.z) * FLAT;
+        let skipped = usize::from(detail.planes[..detail.plane_count].iter().any(flat));
         let mut read = 0;
         let mut seen = false;
         let [block_first, block_last] = tiles_x.map(|tile_x| tile_x / BLOCK);
@@ -293,11 +300,29 @@ impl MaskedDepth {
                 let blocks = (block_last + 1 - block_x).min(BLOCKS_ASKED);
                 let mut limits = [Plane { at: asked.z, dx: 0.0, dy: 0.0 }; 4];
                 detail.limits(&mut limits, block_x * BLOCK * TILE_X, top);
-                let limits = &mut limits[..1 + detail.plane_count];
                 // Most tiles are decided here, eight at a time, whatever part of them is asked about.
-                let mut undecided = self.tiles.undecided(simd, block_x, blocks, tile_y, limits);
+                let (from_tile, to_tile) = (tiles_x[0].max(block_x * BLOCK), tiles_x[1] - block_x * BLOCK);
+                let wanted = (u64::MAX << (from_tile - block_x * BLOCK)) & (u64::MAX >> (63 - to_tile.min(63)));
+                let useful = &limits[skipped..=detail.plane_count];
+                let mut undecided = self.tiles.undecided(simd, block_x, blocks, tile_y, wanted, useful);
                 if undecided == 0 {
                     continue;
+                }
+                if edges.is_none() {
+                    // In a corner of a room all surfaces are before the wall's plane, whichever part of a tile is asked about.
+                    let mut rest = undecided;
+                    while rest != 0 {
+                        let tile_x = block_x * BLOCK + rest.trailing_zeros() as usize;
+                        detail.limits(&mut limits, tile_x * TILE_X, top);
+                        if self.tiles.layers_open(simd, tile_x, tile_y, &limits[skipped..=detail.plane_count]) {
+                            break;
+                        }
+                        undecided &= undecided - 1;
+                        rest = undecided;
+                    }
+                    if undecided == 0 {
+                        continue;
+                    }
                 }
                 let (from, to, first, last) = match edges {
                     Some(edges) => edges,
@@ -312,8 +337,9 @@ impl MaskedDepth {
                     let column = tile_x * TILE_X;
                     let mask = columns_outward(simd, from - column as f32, to - column as f32);
                     read += 1;
-                    detail.limits(limits, column, top);
-                    if self.tiles.open(simd, tile_x, tile_y, mask, limits) {
+                    detail.limits(&mut limits, column, top);
+                    let useful = &limits[skipped..=detail.plane_count];
+                    if self.tiles.open(simd, tile_x, tile_y, mask, useful) {
                         seen = true;
                         break 'rows;
                     }

@@ -1,0 +1,182 @@
+//! What closes pixels of a tile nearer than its reference? A few layers, each a mask and a plane.
+//!
+//! A pixel is closed at the nearest of the planes whose masks have it. Layers lose nothing, however they are ordered. Both
+//! drawing into and asking about a few of them cost much less than depths pixel by pixel, which remain for tiles where many
+//! things meet.
+
+use fearless_simd::prelude::*;
+use fearless_simd::u32x8;
+
+use super::lanes::{Plane, TILE_X, TILE_Y, above, is_empty};
+use super::merge::SAME;
+
+/// Most layers of a tile. A door frame in the corner of a room needs as many.
+pub(super) const LAYERS: usize = 4;
+
+/// Pixels that are closed by a plane.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Layer {
+    pub(super) mask: [u32; TILE_Y],
+    pub(super) plane: Plane,
+}
+
+/// Pixels that are closed nearer than the reference, perhaps. In force only if the tile's `top` says so.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Working {
+    layers: [Layer; LAYERS],
+    /// Layers in use, at least one; exactly one in a detailed tile.
+    count: u32,
+    /// Place of the tile's pixels, one on, which stand for the planes; 0 in a plain tile. Pixels in the mask of the only layer
+    /// may be open still then, at a depth of 0.
+    pub(super) detail: u32,
+}
+
+impl Working {
+    #[inline(always)]
+    pub(super) fn layers(&self) -> &[Layer] {
+        // At most `LAYERS`; said so that no check is left.
+        &self.layers[..(self.count as usize).min(LAYERS)]
+    }
+
+    /// Keeps a single layer.
+    #[inline(always)]
+    pub(super) fn set<S: Simd>(&mut self, mask: u32x8<S>, plane: &Plane) {
+        mask.store_slice(&mut self.layers[0].mask);
+        self.layers[0].plane = *plane;
+        self.count = 1;
+        self.detail = 0;
+    }
+
+    /// Gives the tile pixels, in which `covered` may be closed.
+    #[inline(always)]
+    pub(super) fn set_detailed<S: Simd>(&mut self, covered: u32x8<S>, detail: u32) {
+        covered.store_slice(&mut self.layers[0].mask);
+        self.count = 1;
+        self.detail = detail;
+    }
+
+    /// Pixels that are in any mask.
+    #[inline(always)]
+    pub(super) fn covered<S: Simd>(&self, simd: S) -> u32x8<S> {
+        let mut covered = u32x8::splat(simd, 0);
+        for layer in self.layers() {
+            covered |= u32x8::from_slice(simd, &layer.mask);
+        }
+        covered
+    }
+
+    /// Adds a layer to a plain tile whose reference is nowhere farther than `least`. Whether there was room for it, if it closes
+    /// anything.
+    #[inline(always)]
+    pub(super) fn add<S: Simd>(&mut self, simd: S, mask: u32x8<S>, plane: &Plane, same: f32, least: f32) -> bool {
+        for layer in &mut self.layers[..(self.count as usize).min(LAYERS)] {
+            let own = u32x8::from_slice(simd, &layer.mask);
+            if plane.minus(&layer.plane).greatest() > same {
+                continue;
+            }
+            if is_empty(simd, mask & !own) {
+                return true;
+            }
+            let over = layer.plane.minus(plane).greatest();
+            if over <= same {
+                // Neighbours in one plane.
+                let slack = 2.0 * (plane.rounding() + layer.plane.rounding());
+                layer.plane.at -= (if over > 0.0 { over } else { 0.0 }) + slack;
+                (own | mask).store_slice(&mut layer.mask);
+                return true;
+            }
+        }
+        if self.count as usize >= LAYERS {
+            let mut kept = 0;
+            for i in 0..LAYERS {
+                if self.layers[i].plane.greatest() > least {
+                    self.layers[kept] = self.layers[i];
+                    kept += 1;
+                }
+            }
+            self.count = kept as u32;
+            if kept == LAYERS {
+                return false;
+            }
+        }
+        let layer = &mut self.layers[self.count as usize];
+        mask.store_slice(&mut layer.mask);
+        layer.plane = *plane;
+        self.count += 1;
+        true
+    }
+
+    /// A depth at which every pixel of some mask is closed.
+    #[inline(always)]
+    pub(super) fn least(&self) -> f32 {
+        let mut least = f32::INFINITY;
+        for layer in self.layers() {
+            let here = layer.least();
+            least = if here < least { here } else { least };
+        }
+        least
+    }
+
+    /// Pixels among `asked` of a plain tile that the layers do not close nearer than the farthest of `limits`.
+    #[inline(always)]
+    pub(super) fn open<S: Simd>(&self, simd: S, asked: u32x8<S>, limits: &[Plane]) -> u32x8<S> {
+        let mut open = asked;
+        for layer in self.layers() {
+            let mask = u32x8::from_slice(simd, &layer.mask);
+            if !limits.iter().any(|limit| nearer_everywhere(&layer.plane, limit)) {
+                let mut nearer_here = u32x8::splat(simd, 0);
+                for limit in limits {
+                    nearer_here |= nearer(simd, &layer.plane, limit);
+                }
+                open &= !(mask & nearer_here);
+            } else {
+                open &= !mask;
+            }
+        }
+        open
+    }
+
+    /// The depth at which a pixel of a plain tile is closed; 0 if it is open.
+    pub(super) fn depth_at(&self, i: usize, j: usize) -> f32 {
+        let closing = self.layers().iter().filter(|layer| layer.mask[j] >> i & 1 == 1);
+        closing.fold(0.0, |depth, Layer { plane, .. }| depth.max(plane.at + i as f32 * plane.dx + j as f32 * plane.dy))
+    }
+}
+
+impl Layer {
+    /// The least depth of its pixels, or less.
+    #[inline(always)]
+    fn least(&self) -> f32 {
+        let (mut used, mut first, mut last) = (0, TILE_Y, 0);
+        for (j, row) in self.mask.iter().enumerate() {
+            used |= row;
+            first = if *row != 0 && first == TILE_Y { j } else { first };
+            last = if *row != 0 { j } else { last };
+        }
+        if used == 0 {
+            return f32::INFINITY;
+        }
+        let Plane { at, dx, dy } = self.plane;
+        let i = if dx < 0.0 { TILE_X as u32 - 1 - used.leading_zeros() } else { used.trailing_zeros() };
+        let j = if dy < 0.0 { last } else { first };
+        at + dx * i as f32 + dy * j as f32 - self.plane.rounding()
+    }
+}
+
+/// Whether `plane` is certainly above `limit` in all of a tile: the face of a cell is often just behind a wall.
+#[inline(always)]
+pub(super) fn nearer_everywhere(plane: &Plane, limit: &Plane) -> bool {
+    plane.minus(limit).least() > plane.rounding() + limit.rounding()
+}
+
+/// Pixels of a tile where `plane` is certainly above `limit`.
+#[inline(always)]
+pub(super) fn nearer<S: Simd>(simd: S, plane: &Plane, limit: &Plane) -> u32x8<S> {
+    above(simd, &plane.minus(limit), plane.rounding() + limit.rounding())
+}
+
+/// What counts as no difference to depths up to `top`.
+#[inline(always)]
+pub(super) fn same_at(top: f32) -> f32 {
+    top * SAME
+}
