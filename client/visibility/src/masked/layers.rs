@@ -21,14 +21,17 @@ pub(super) struct Layer {
 }
 
 /// Pixels that are closed nearer than the reference, perhaps. In force only if the tile's `top` says so.
+///
+/// What is always read lies in one line of the cache, since a frame finds few of them there.
 #[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
 pub(super) struct Working {
-    layers: [Layer; LAYERS],
     /// Layers in use, at least one; exactly one in a detailed tile.
     count: u32,
     /// Place of the tile's pixels, one on, which stand for the planes; 0 in a plain tile. Pixels in the mask of the only layer
     /// may be open still then, at a depth of 0.
     pub(super) detail: u32,
+    layers: [Layer; LAYERS],
 }
 
 impl Working {
@@ -122,15 +125,19 @@ impl Working {
     pub(super) fn open<S: Simd>(&self, simd: S, asked: u32x8<S>, limits: &[Plane]) -> u32x8<S> {
         let mut open = asked;
         for layer in self.layers() {
-            let mask = u32x8::from_slice(simd, &layer.mask);
-            if !limits.iter().any(|limit| nearer_everywhere(&layer.plane, limit)) {
-                let mut nearer_here = u32x8::splat(simd, 0);
-                for limit in limits {
-                    nearer_here |= nearer(simd, &layer.plane, limit);
-                }
-                open &= !(mask & nearer_here);
-            } else {
+            let mask = u32x8::from_slice(simd, &layer.mask) & open;
+            // Most layers of a tile have nothing to do with a question's part of it.
+            if is_empty(simd, mask) {
+                continue;
+            }
+            if limits.iter().any(|limit| nearer_everywhere(&layer.plane, limit)) {
                 open &= !mask;
+            } else {
+                let mut hidden = u32x8::splat(simd, 0);
+                for limit in limits {
+                    hidden |= nearer(simd, &layer.plane, limit);
+                }
+                open &= !(mask & hidden);
             }
         }
         open
@@ -165,7 +172,7 @@ impl Layer {
 
 /// Whether `plane` is certainly above `limit` in all of a tile: the face of a cell is often just behind a wall.
 #[inline(always)]
-pub(super) fn nearer_everywhere(plane: &Plane, limit: &Plane) -> bool {
+fn nearer_everywhere(plane: &Plane, limit: &Plane) -> bool {
     plane.minus(limit).least() > plane.rounding() + limit.rounding()
 }
 

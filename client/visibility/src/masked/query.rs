@@ -308,22 +308,6 @@ impl MaskedDepth {
                 if undecided == 0 {
                     continue;
                 }
-                if edges.is_none() {
-                    // In a corner of a room all surfaces are before the wall's plane, whichever part of a tile is asked about.
-                    let mut rest = undecided;
-                    while rest != 0 {
-                        let tile_x = block_x * BLOCK + rest.trailing_zeros() as usize;
-                        detail.limits(&mut limits, tile_x * TILE_X, top);
-                        if self.tiles.layers_open(simd, tile_x, tile_y, &limits[skipped..=detail.plane_count]) {
-                            break;
-                        }
-                        undecided &= undecided - 1;
-                        rest = undecided;
-                    }
-                    if undecided == 0 {
-                        continue;
-                    }
-                }
                 let (from, to, first, last) = match edges {
                     Some(edges) => edges,
                     None => *edges.insert(row_of(simd, asked, &detail, top)),

@@ -15,7 +15,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, mask32x8, u32x8};
 
 use super::lanes::{LAST_X, LAST_Y, Plane, ROUNDING, TILE_X, TILE_Y, above, is_empty, ramp, splat};
-use super::layers::{Working, nearer, nearer_everywhere, same_at};
+use super::layers::{Working, nearer, same_at};
 use super::merge::{Fits, SAME};
 use super::pixels::{self, Pixels};
 
@@ -437,25 +437,6 @@ impl Tiles {
         }
         self.detailed += 1;
         working.set_detailed(covered, self.detailed as u32);
-    }
-
-    /// Whether the working layers leave any pixel of a tile open, depths pixel by pixel not counted. Quick, and nothing need
-    /// be known of what is asked about but its `limits`.
-    #[inline(always)]
-    pub(super) fn layers_open<S: Simd>(&self, simd: S, tile_x: usize, tile_y: usize, limits: &[Plane]) -> bool {
-        let index = tile_y * self.blocks_x + tile_x / BLOCK;
-        let lane = tile_x % BLOCK;
-        let working = &self.working[index * BLOCK + lane];
-        if !(self.top[index][lane] > self.least[index][lane]) || working.detail != 0 {
-            return true;
-        }
-        let mut open = u32x8::splat(simd, u32::MAX);
-        for layer in working.layers() {
-            if limits.iter().any(|limit| nearer_everywhere(&layer.plane, limit)) {
-                open &= !u32x8::from_slice(simd, &layer.mask);
-            }
-        }
-        !is_empty(simd, open)
     }
 
     /// Pixels among `asked` of a tile that are not certainly closed nearer than the farthest of `limits`: depths in this tile
