@@ -187,3 +187,69 @@ pub(super) fn nearer<S: Simd>(simd: S, plane: &Plane, limit: &Plane) -> u32x8<S>
 pub(super) fn same_at(top: f32) -> f32 {
     top * SAME
 }
+
+#[cfg(test)]
+mod tests {
+    use fearless_simd::{Level, dispatch};
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    use super::*;
+
+    #[inline(always)]
+    fn check<S: Simd>(simd: S) -> (usize, usize, usize) {
+        let mut rng = Pcg64::seed_from_u64(3);
+        let (mut refused, mut merged, mut questions) = (0, 0, 0);
+        for round in 0..300 {
+            let mut any_layer = |round: usize| {
+                let (from, to) = (rng.random_range(0..TILE_X as u32), rng.random_range(0..TILE_X as u32));
+                let row = (u32::MAX << from.min(to)) & (u32::MAX >> (31 - from.max(to)));
+                let (first, last) = (rng.random_range(0..TILE_Y), rng.random_range(0..TILE_Y));
+                let mask = std::array::from_fn(|j| if (first..=last).contains(&j) { row } else { 0 });
+                // In every other round all lie nearly in one plane.
+                let spread = if round % 2 == 0 { 1.0 } else { 1e-6 };
+                let mut about = |middle: f32, reach: f32| middle + spread * rng.random_range(-reach..reach);
+                let plane = Plane { at: about(0.5, 0.3), dx: about(0.0, 0.005), dy: about(0.0, 0.01) };
+                Layer { mask, plane }
+            };
+            let mut working = Working::default();
+            let mut drawn = vec![any_layer(round)];
+            working.set(u32x8::from_slice(simd, &drawn[0].mask), &drawn[0].plane);
+            for _ in 0..6 {
+                let layer = any_layer(round);
+                let before = working;
+                if working.add(simd, u32x8::from_slice(simd, &layer.mask), &layer.plane, same_at(1.0), 0.0) {
+                    merged += usize::from(working.count == before.count);
+                    drawn.push(layer);
+                } else {
+                    refused += 1;
+                }
+            }
+            let exact = |i: usize, j: usize| {
+                let here = drawn.iter().filter(|layer| layer.mask[j] >> i & 1 == 1);
+                here.fold(0.0_f32, |z, Layer { plane: p, .. }| z.max(p.at + i as f32 * p.dx + j as f32 * p.dy))
+            };
+            let limit = any_layer(0).plane;
+            let open: [u32; TILE_Y] = working.open(simd, u32x8::splat(simd, u32::MAX), &[limit]).into();
+            for (i, j) in (0..TILE_X).flat_map(|i| (0..TILE_Y).map(move |j| (i, j))) {
+                let (is, closed) = (exact(i, j), working.depth_at(i, j));
+                assert!(closed <= is + 1e-6 && closed >= is - 2.0 * same_at(1.0), "{i} {j}: {closed} for {is}");
+                assert!(closed == 0.0 || closed >= working.least());
+                let asked = limit.at + i as f32 * limit.dx + j as f32 * limit.dy;
+                if open[j] >> i & 1 == 0 {
+                    assert!(closed > asked);
+                } else {
+                    assert!(closed < asked + 0.02);
+                    questions += 1;
+                }
+            }
+        }
+        (refused, merged, questions)
+    }
+
+    #[test]
+    fn layers_close_what_was_drawn_and_never_nearer() {
+        let (refused, merged, questions) = dispatch!(Level::baseline(), simd => check(simd));
+        assert!(refused > 50 && merged > 300 && questions > 1000, "{refused} {merged} {questions}");
+    }
+}

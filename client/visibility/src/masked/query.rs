@@ -31,6 +31,40 @@ pub(super) enum Asked {
     In(Silhouette),
 }
 
+/// The image's four sides, grown by a pixel, as planes through the eye: most of what is asked about lies outside one of them.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct SidePlanes {
+    /// Coordinates of the inward normals in the scene, side by side.
+    normals: [[f64; 4]; 3],
+    /// Bounds their length.
+    length: f64,
+}
+
+impl SidePlanes {
+    pub(super) fn new(projector: &Projector) -> SidePlanes {
+        let [right, up, forward] = projector.axes.map(|axis| axis * projector.focal_px);
+        let [x, y] = projector.middle.map(|half| (half + 1.0) / projector.focal_px);
+        let sides = [forward * x - right, forward * x + right, forward * y - up, forward * y + up];
+        let normals = [0, 1, 2].map(|axis| sides.map(|side| side[axis]));
+        SidePlanes { normals, length: projector.focal_px * (1.0 + x + y) }
+    }
+
+    /// Whether a box, given from the eye, is outside one side by more than `slack` metres. Holds behind the eye too.
+    #[inline(always)]
+    fn leave_out(&self, min: DVec3, max: DVec3, slack: f64) -> bool {
+        let (middle, size) = ((min + max).to_array(), (max - min).to_array());
+        // Twice the greatest height over each side.
+        let mut greatest = [0.0_f64; 4];
+        for axis in 0..3 {
+            for (greatest, normal) in greatest.iter_mut().zip(&self.normals[axis]) {
+                *greatest += normal * middle[axis] + normal.abs() * size[axis];
+            }
+        }
+        let doubt = -2.0 * slack * self.length;
+        (greatest[0] < doubt) | (greatest[1] < doubt) | (greatest[2] < doubt) | (greatest[3] < doubt)
+    }
+}
+
 /// What a thing covers at most, and how near it is at most.
 pub(super) struct Silhouette {
     place: Place,
@@ -60,14 +94,17 @@ impl Asked {
         if !(min.cmple(max).all() && (min + max).is_finite()) {
             return Asked::Touching;
         }
+        let longest = min.abs().max(max.abs());
+        let slack = 3.0 * (longest.x + longest.y + longest.z) * ROUNDING;
+        if image.sides.leave_out(min, max, slack) {
+            return Asked::Outside;
+        }
         let size = max - min;
         let (x, y, w) = (
             along(simd, projector.axes[0], min, size),
             along(simd, projector.axes[1], min, size),
             along(simd, projector.axes[2], min, size),
         );
-        let longest = min.abs().max(max.abs());
-        let slack = 3.0 * (longest.x + longest.y + longest.z) * ROUNDING;
         if simd.reduce_max_f64x8(w) < -slack {
             return Asked::Outside;
         }
