@@ -207,7 +207,7 @@ mod tests {
                 let (first, last) = (rng.random_range(0..TILE_Y), rng.random_range(0..TILE_Y));
                 let mask = std::array::from_fn(|j| if (first..=last).contains(&j) { row } else { 0 });
                 // In every other round all lie nearly in one plane.
-                let spread = if round % 2 == 0 { 1.0 } else { 1e-6 };
+                let spread = if usize::is_multiple_of(round, 2) { 1.0 } else { 1e-6 };
                 let mut about = |middle: f32, reach: f32| middle + spread * rng.random_range(-reach..reach);
                 let plane = Plane { at: about(0.5, 0.3), dx: about(0.0, 0.005), dy: about(0.0, 0.01) };
                 Layer { mask, plane }
