@@ -11,6 +11,7 @@
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 
 mod lanes;
+mod layers;
 mod merge;
 mod outline;
 mod pixels;
@@ -29,7 +30,7 @@ use crate::raster_sampled::seal::holds;
 use crate::raster_sampled::setup::{Corner, DEPTH_SLACK, GUARD_PX, Projector, SNAP_PX, ViewPoint};
 use crate::{Aabb, Bound, Occlusion, SealedFace, Sides, View};
 use polygon::{CORNERS_MAX, draw_loop};
-use query::Asked;
+use query::{Asked, SidePlanes};
 use tiles::Tiles;
 
 /// Most corners of a polygon.
@@ -68,6 +69,7 @@ pub struct MaskedDepth {
     coverage: Coverage,
     /// `None` before the first view, and for one that makes no sense: an image without pixels.
     projector: Option<Projector>,
+    sides: SidePlanes,
     /// Whether the view makes no sense, so that nothing is known.
     blind: bool,
     tiles: Tiles,
@@ -88,6 +90,7 @@ impl MaskedDepth {
             level,
             coverage,
             projector: None,
+            sides: SidePlanes::default(),
             blind: false,
             tiles: Tiles::default(),
             polygons: 0,
@@ -100,6 +103,7 @@ impl MaskedDepth {
     pub fn begin(&mut self, view: &View) {
         self.blind = view.check().is_err();
         self.projector = (!self.blind).then(|| Projector::new(view));
+        self.sides = self.projector.as_ref().map_or_else(SidePlanes::default, SidePlanes::new);
         let resolution = view.or_without_pixels().resolution;
         self.tiles.clear(resolution.width, resolution.height);
         self.polygons = 0;

@@ -5,6 +5,9 @@
 //! one of the triangles that the loop is a fan of, whether the loop is convex or not: the loop winds around it once at
 //! least, and its winding number is the sum of theirs. So what is covered here is covered there.
 //!
+//! A row is bounded by the edges that reach into it, or into the square of one of its pixels. That is enough, for the same
+//! reason: of these edges those on the left of a pixel make up its winding number.
+//!
 //! An edge bounds the columns of a row by ⌊n/k⌋ with n linear in the row. Quotient and remainder are carried from tile row to
 //! tile row; within one, eight rows are lanes, and all numbers are whole and below 2⁵³, where f64 is exact.
 
@@ -39,10 +42,15 @@ struct Edge {
     /// What takes it out of the bounds on the left, or of those on the right: [`NEVER`] or 0.
     not_left: f64,
     not_right: f64,
+    /// First and last row of tiles that it reaches into; `quotient` begins with the first.
+    tiles: [i64; 2],
 }
 
 /// Farther than any column.
 const NEVER: f64 = 1e18;
+
+/// From 1/256 px to rows of tiles.
+const TILE_SHIFT: u32 = 8 + TILE_Y.trailing_zeros();
 
 /// ⌊n/k⌋ and the remainder, exact for |n| < 2⁶² and 0 < k < 2⁵².
 #[inline(always)]
@@ -79,6 +87,7 @@ impl Edge {
             tile: [tile, tile_rest * 256.0],
             not_left: 0.0,
             not_right: 0.0,
+            tiles: [0, 0],
         }
     }
 
@@ -186,7 +195,8 @@ fn draw_inlined<S: Simd>(
 
     let mut edges = [Edge::default(); CORNERS_MAX];
     let mut edge_count = 0;
-    let tile_row = i64::from(y[0] & !(TILE_Y as i32 - 1)) << 8;
+    let right_of_image = i64::from(tiles.width) << 8;
+    let tile_rows = [i64::from(y[0]) / TILE_Y as i64, i64::from(y[1]) / TILE_Y as i64];
     let mut from = corners[count - 1];
     for &corner in corners {
         let to = corner;
@@ -204,14 +214,23 @@ fn draw_inlined<S: Simd>(
             }
             continue;
         }
+        // An edge bounds the rows that it reaches into, and a pixel's square around them. The others it may be left out
+        // of: a pixel's winding number follows from the edges that cross its row.
+        let reached = [(a.y.min(b.y) - 256) >> TILE_SHIFT, (a.y.max(b.y) + 256) >> TILE_SHIFT];
+        let reached = [reached[0].max(tile_rows[0]), reached[1].min(tile_rows[1])];
+        // What lies beside the image bounds nothing in it.
+        let beside = if dy > 0 { a.x.min(b.x) > right_of_image } else { a.x.max(b.x) < -256 };
+        if reached[0] > reached[1] || beside {
+            continue;
+        }
         let strict = match coverage {
             Coverage::Sampled => i64::from(dy > 0),
             Coverage::Under => (dx.abs() + dy.abs()) * inset,
         };
-        let n = dx * (tile_row - a.y) + dy * a.x - strict;
+        let n = dx * ((reached[0] << TILE_SHIFT) - a.y) + dy * a.x - strict;
         let right = f64::from(u8::from(dy > 0));
-        let bounds = Edge { not_left: right * NEVER, not_right: (1.0 - right) * NEVER, ..Edge::new(n, dx, dy.abs()) };
-        edges[edge_count] = bounds;
+        let (not_left, not_right) = (right * NEVER, (1.0 - right) * NEVER);
+        edges[edge_count] = Edge { not_left, not_right, tiles: reached, ..Edge::new(n, dx, dy.abs()) };
         edge_count += 1;
     }
     let edges = &mut edges[..edge_count];
@@ -223,28 +242,24 @@ fn draw_inlined<S: Simd>(
     let depth = LoopDepth::new(corners, area, normal, depths, spread, x, y, nearest);
 
     // `y[0]` may have grown; the edges start where it was.
-    let mut first_tile_y = (tile_row >> 8) as usize / TILE_Y;
-    while first_tile_y < y[0] as usize / TILE_Y {
-        for edge in &mut *edges {
-            edge.next_tile_row();
-        }
-        first_tile_y += 1;
-    }
-    for tile_y in first_tile_y..=y[1] as usize / TILE_Y {
-        if tiles.nearer_in(simd, tiles_x, [tile_y, tile_y], nearest) {
-            for edge in &mut *edges {
-                edge.next_tile_row();
-            }
-            continue;
-        }
+    let first_tile_y = y[0] as usize / TILE_Y;
+    for tile_y in tile_rows[0] as usize..=y[1] as usize / TILE_Y {
+        let hidden = tile_y < first_tile_y || tiles.nearer_in(simd, tiles_x, [tile_y, tile_y], nearest);
         let (mut from, mut to) = (f64x8::splat(simd, f64::from(x[0])), f64x8::splat(simd, f64::from(x[1])));
         for edge in &mut *edges {
-            let bound = edge.quotients(simd);
-            from = simd.max_f64x8(from, -(bound + edge.not_left));
-            to = simd.min_f64x8(to, bound + edge.not_right);
+            if (tile_y as i64) < edge.tiles[0] || tile_y as i64 > edge.tiles[1] {
+                continue;
+            }
+            if !hidden {
+                let bound = edge.quotients(simd);
+                from = simd.max_f64x8(from, -(bound + edge.not_left));
+                to = simd.min_f64x8(to, bound + edge.not_right);
+            }
             edge.next_tile_row();
         }
-        fill_row(simd, tiles, tile_y, y, narrow(simd, from), narrow(simd, to), &depth);
+        if !hidden {
+            fill_row(simd, tiles, tile_y, y, narrow(simd, from), narrow(simd, to), &depth);
+        }
     }
     true
 }

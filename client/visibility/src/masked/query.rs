@@ -9,7 +9,7 @@ use fearless_simd::{f32x8, f64x8};
 use glam::DVec3;
 
 use super::lanes::{Plane, TILE_X, TILE_Y, columns_outward, narrow, ramp, splat};
-use super::outline::{Detail, EDGES_MAX, Outline, tangents};
+use super::outline::{Detail, EDGES_MAX, Linear, Outline, tangents};
 use super::tiles::{BLOCK, BLOCKS_ASKED};
 use super::{Coverage, LOOP_MAX, MaskedDepth};
 use crate::Aabb;
@@ -17,6 +17,9 @@ use crate::raster_sampled::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
 
 /// Relative rounding of the transform, which cancels where a far corner lies beside the eye.
 const ROUNDING: f64 = 1e-12;
+
+/// By how much of the nearest depth a plane may change over a tile, to be asked in its place.
+const FLAT: f64 = 0.125;
 
 /// Where a thing is.
 #[expect(clippy::large_enum_variant, reason = "lives on the stack for one question")]
@@ -26,6 +29,40 @@ pub(super) enum Asked {
     /// It touches the eye or the near plane and may be in view, or nothing is known about it.
     Touching,
     In(Silhouette),
+}
+
+/// The image's four sides, grown by a pixel, as planes through the eye: most of what is asked about lies outside one of them.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct SidePlanes {
+    /// Coordinates of the inward normals in the scene, side by side.
+    normals: [[f64; 4]; 3],
+    /// Bounds their length.
+    length: f64,
+}
+
+impl SidePlanes {
+    pub(super) fn new(projector: &Projector) -> SidePlanes {
+        let [right, up, forward] = projector.axes.map(|axis| axis * projector.focal_px);
+        let [x, y] = projector.middle.map(|half| (half + 1.0) / projector.focal_px);
+        let sides = [forward * x - right, forward * x + right, forward * y - up, forward * y + up];
+        let normals = [0, 1, 2].map(|axis| sides.map(|side| side[axis]));
+        SidePlanes { normals, length: projector.focal_px * (1.0 + x + y) }
+    }
+
+    /// Whether a box, given from the eye, is outside one side by more than `slack` metres. Holds behind the eye too.
+    #[inline(always)]
+    fn leave_out(&self, min: DVec3, max: DVec3, slack: f64) -> bool {
+        let (middle, size) = ((min + max).to_array(), (max - min).to_array());
+        // Twice the greatest height over each side.
+        let mut greatest = [0.0_f64; 4];
+        for axis in 0..3 {
+            for (greatest, normal) in greatest.iter_mut().zip(&self.normals[axis]) {
+                *greatest += normal * middle[axis] + normal.abs() * size[axis];
+            }
+        }
+        let doubt = -2.0 * slack * self.length;
+        (greatest[0] < doubt) | (greatest[1] < doubt) | (greatest[2] < doubt) | (greatest[3] < doubt)
+    }
 }
 
 /// What a thing covers at most, and how near it is at most.
@@ -57,14 +94,17 @@ impl Asked {
         if !(min.cmple(max).all() && (min + max).is_finite()) {
             return Asked::Touching;
         }
+        let longest = min.abs().max(max.abs());
+        let slack = 3.0 * (longest.x + longest.y + longest.z) * ROUNDING;
+        if image.sides.leave_out(min, max, slack) {
+            return Asked::Outside;
+        }
         let size = max - min;
         let (x, y, w) = (
             along(simd, projector.axes[0], min, size),
             along(simd, projector.axes[1], min, size),
             along(simd, projector.axes[2], min, size),
         );
-        let longest = min.abs().max(max.abs());
-        let slack = 3.0 * (longest.x + longest.y + longest.z) * ROUNDING;
         if simd.reduce_max_f64x8(w) < -slack {
             return Asked::Outside;
         }
@@ -283,6 +323,10 @@ impl MaskedDepth {
         let detail = outline.detail(simd, projector);
         let tiles_x = [asked.x[0] as usize / TILE_X, asked.x[1] as usize / TILE_X];
         let tiles_y = [asked.y[0] as usize / TILE_Y, asked.y[1] as usize / TILE_Y];
+        // A plane that hardly changes over a tile tells as much as the nearest depth.
+        let flat =
+            |plane: &Linear| plane.x.abs() * TILE_X as f64 + plane.y.abs() * TILE_Y as f64 <= f64::from(asked.z) * FLAT;
+        let skipped = usize::from(detail.planes[..detail.plane_count].iter().any(flat));
         let mut read = 0;
         let mut seen = false;
         let [block_first, block_last] = tiles_x.map(|tile_x| tile_x / BLOCK);
@@ -293,9 +337,11 @@ impl MaskedDepth {
                 let blocks = (block_last + 1 - block_x).min(BLOCKS_ASKED);
                 let mut limits = [Plane { at: asked.z, dx: 0.0, dy: 0.0 }; 4];
                 detail.limits(&mut limits, block_x * BLOCK * TILE_X, top);
-                let limits = &mut limits[..1 + detail.plane_count];
                 // Most tiles are decided here, eight at a time, whatever part of them is asked about.
-                let mut undecided = self.tiles.undecided(simd, block_x, blocks, tile_y, limits);
+                let (from_tile, to_tile) = (tiles_x[0].max(block_x * BLOCK), tiles_x[1] - block_x * BLOCK);
+                let wanted = (u64::MAX << (from_tile - block_x * BLOCK)) & (u64::MAX >> (63 - to_tile.min(63)));
+                let useful = &limits[skipped..=detail.plane_count];
+                let mut undecided = self.tiles.undecided(simd, block_x, blocks, tile_y, wanted, useful);
                 if undecided == 0 {
                     continue;
                 }
@@ -312,8 +358,9 @@ impl MaskedDepth {
                     let column = tile_x * TILE_X;
                     let mask = columns_outward(simd, from - column as f32, to - column as f32);
                     read += 1;
-                    detail.limits(limits, column, top);
-                    if self.tiles.open(simd, tile_x, tile_y, mask, limits) {
+                    detail.limits(&mut limits, column, top);
+                    let useful = &limits[skipped..=detail.plane_count];
+                    if self.tiles.open(simd, tile_x, tile_y, mask, useful) {
                         seen = true;
                         break 'rows;
                     }

@@ -1,20 +1,21 @@
 //! The image as tiles of two layers, and how a polygon's part of a tile changes them.
 //!
-//! The *reference* closes the whole tile with a plane of reversed depth; depth 0 is open. The *working* layer closes the
-//! pixels of a mask with another plane, nearer than the reference somewhere. A pixel is closed at the nearer of both. Every
+//! The *reference* closes the whole tile with a plane of reversed depth; depth 0 is open. *Working* layers (`layers`) close the
+//! pixels of masks with other planes, nearer than the reference somewhere. A pixel is closed at the nearer of both. Every
 //! change keeps this: **no pixel is closed nearer than something that was drawn over it.** (Hasselgren, Andersson and
 //! Akenine-Möller, "Masked Software Occlusion Culling", 2016, with planes where they keep one depth.)
 //!
-//! Where a third plane comes to a tile, their heuristics drop or flatten one. Here the tile becomes *detailed*: its working layer is
-//! a depth for each pixel, and nothing is lost however things are ordered. It is plain again once a reference is nearer
-//! than all of them. Few tiles are like this at a time, since the insides of walls are not.
+//! Where a third plane comes to a tile, their heuristics drop or flatten one. Here it gets a layer of its own, and where there
+//! are too many the tile becomes *detailed*: its working layer is a depth for each pixel, and nothing is lost however things
+//! are ordered. It is plain again once a reference is nearer than all of them. Few tiles are like this at a time.
 //!
 //! References lie in blocks of eight tiles along a row, since the inside of a wall is nothing else.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{f32x8, u32x8};
+use fearless_simd::{f32x8, mask32x8, u32x8};
 
 use super::lanes::{LAST_X, LAST_Y, Plane, ROUNDING, TILE_X, TILE_Y, above, is_empty, ramp, splat};
+use super::layers::{Working, nearer, same_at};
 use super::merge::{Fits, SAME};
 use super::pixels::{self, Pixels};
 
@@ -30,16 +31,6 @@ struct Block {
     at: [f32; BLOCK],
     dx: [f32; BLOCK],
     dy: [f32; BLOCK],
-}
-
-/// Pixels that are closed nearer than the reference, perhaps. In force only if its `top` says so.
-#[derive(Clone, Copy, Debug, Default)]
-struct Working {
-    mask: [u32; TILE_Y],
-    plane: Plane,
-    /// Place of the tile's pixels, one on, which stand for the plane; 0 in a plain tile. Pixels in the mask may be open still,
-    /// at a depth of 0.
-    detail: u32,
 }
 
 /// The tiles of an image.
@@ -145,8 +136,8 @@ impl Tiles {
         self.detailed
     }
 
-    /// The tiles of up to [`BLOCKS_ASKED`] blocks of a row, by bits, that their references do not hide as a whole: nothing is
-    /// known about them yet. `limits` are those of [`Tiles::open`], in the first tile of the first block.
+    /// Those of the `wanted` tiles of up to [`BLOCKS_ASKED`] blocks of a row, by bits, that their references do not hide as a
+    /// whole: nothing is known about them yet. `limits` are those of [`Tiles::open`], in the first tile of the first block.
     #[inline(always)]
     pub(super) fn undecided<S: Simd>(
         &self,
@@ -154,6 +145,7 @@ impl Tiles {
         first_block: usize,
         blocks: usize,
         tile_y: usize,
+        wanted: u64,
         limits: &[Plane],
     ) -> u64 {
         let index = tile_y * self.blocks_x + first_block;
@@ -167,7 +159,8 @@ impl Tiles {
             let dy = f32x8::from_slice(simd, &block.dy) * LAST_Y;
             let size = (simd.abs_f32x8(at) + simd.abs_f32x8(dx) + simd.abs_f32x8(dy)) * ROUNDING;
             let columns = ramp(simd) + (i * BLOCK) as f32;
-            let mut open = 0xff_u64;
+            let mut open = wanted >> (i * BLOCK) & 0xff;
+            let unclosed = !f32x8::from_slice(simd, least).simd_gt(zero).to_bitmask() & open;
             // The last limits are planes, which decide more than the first, the nearest depth.
             for limit in limits.iter().rev() {
                 let step = limit.dx * TILE_X as f32;
@@ -181,8 +174,7 @@ impl Tiles {
                     break;
                 }
             }
-            open |= !f32x8::from_slice(simd, least).simd_gt(zero).to_bitmask() & 0xff;
-            undecided |= open << (i * BLOCK);
+            undecided |= (open | unclosed) << (i * BLOCK);
         }
         undecided
     }
@@ -217,6 +209,13 @@ impl Tiles {
             let at_edge = columns.simd_eq(splat(simd, (self.tiles_x - 1) as f32));
             let p_least = at + at_edge.select(splat(simd, fall_at_edge), splat(simd, fall));
             let old_least = f32x8::from_slice(simd, least);
+            let inside = columns.simd_ge(splat(simd, from as f32)) & columns.simd_le(splat(simd, to as f32));
+            if !(inside & old_least.simd_gt(zero)).any_true() {
+                // Nothing to be compared with.
+                let take = inside & p_least.simd_gt(zero);
+                take_reference(simd, block, least, take, at, p_least, &p);
+                continue;
+            }
             // What it has over the old reference at the corners.
             let d_at = at - f32x8::from_slice(simd, &block.at);
             let d_x = (splat(simd, p.dx) - f32x8::from_slice(simd, &block.dx)) * LAST_X;
@@ -224,7 +223,6 @@ impl Tiles {
             let worst = d_at + simd.min_f32x8(d_x, zero) + simd.min_f32x8(d_y, zero);
             // Nearer everywhere, or else by its farthest pixel.
             let better = (worst.simd_ge(zero) & old_least.simd_gt(zero)) | p_least.simd_gt(old_least);
-            let inside = columns.simd_ge(splat(simd, from as f32)) & columns.simd_le(splat(simd, to as f32));
             let take = better & inside;
             // Where neither is nearer everywhere, what is not taken would be lost.
             let same = simd.max_f32x8(old_least, p_least) * SAME;
@@ -235,11 +233,7 @@ impl Tiles {
             }
             let take = take & !cross;
             let (block, least) = (&mut self.blocks[index], &mut self.least[index]);
-            let old_least = f32x8::from_slice(simd, least);
-            take.select(at, f32x8::from_slice(simd, &block.at)).store_slice(&mut block.at);
-            take.select(splat(simd, p.dx), f32x8::from_slice(simd, &block.dx)).store_slice(&mut block.dx);
-            take.select(splat(simd, p.dy), f32x8::from_slice(simd, &block.dy)).store_slice(&mut block.dy);
-            take.select(p_least, old_least).store_slice(least);
+            take_reference(simd, block, least, take, at, p_least, &p);
         }
     }
 
@@ -250,8 +244,14 @@ impl Tiles {
             let plane = Plane { at: at[lane], ..row.plane };
             let top = plane.greatest();
             let top = if row.nearest < top { row.nearest } else { top };
-            if top > self.least[index][lane] {
-                self.close_pixels(simd, index, lane, u32x8::splat(simd, u32::MAX), &plane, top);
+            let all = u32x8::splat(simd, u32::MAX);
+            let least = self.least[index][lane];
+            if top > least {
+                if self.top[index][lane] > least {
+                    self.close_more(simd, index, lane, all, &plane, top);
+                } else {
+                    self.set_working(index, lane, all, &plane, top);
+                }
             }
         }
     }
@@ -271,10 +271,7 @@ impl Tiles {
 
     #[inline(always)]
     fn set_working<S: Simd>(&mut self, index: usize, lane: usize, mask: u32x8<S>, plane: &Plane, top: f32) {
-        let working = &mut self.working[index * BLOCK + lane];
-        mask.store_slice(&mut working.mask);
-        working.plane = *plane;
-        working.detail = 0;
+        self.working[index * BLOCK + lane].set(mask, plane);
         self.top[index][lane] = top;
     }
 
@@ -307,9 +304,10 @@ impl Tiles {
             return;
         }
         let working = &self.working[index * BLOCK + lane];
-        if working.detail == 0 {
-            let q = working.plane;
-            let q_mask = u32x8::from_slice(simd, &working.mask);
+        let plain = working.detail == 0;
+        if let ([q], true) = (working.layers(), plain) {
+            let q_mask = u32x8::from_slice(simd, &q.mask);
+            let q = q.plane;
             let fits = Fits::new(simd, &p, mask, &q, q_mask, (if p_top > top { p_top } else { top }) * SAME);
             if fits.p_adds_nothing {
                 return;
@@ -342,7 +340,30 @@ impl Tiles {
         if least > 0.0 && is_empty(simd, mask & !above(simd, &reference.minus(&p), 0.0)) {
             return;
         }
-        self.close_pixels(simd, index, lane, mask, &p, p_top);
+        self.close_more(simd, index, lane, mask, &p, p_top);
+    }
+
+    /// Closes pixels of a tile whose working layers are in force: by another layer, or else one by one.
+    #[inline(always)]
+    fn close_more<S: Simd>(&mut self, simd: S, index: usize, lane: usize, mask: u32x8<S>, plane: &Plane, top: f32) {
+        let least = self.least[index][lane];
+        let working = &mut self.working[index * BLOCK + lane];
+        let old_top = self.top[index][lane];
+        let top = if top > old_top { top } else { old_top };
+        if working.detail != 0 || !working.add(simd, mask, plane, same_at(top), least) {
+            self.close_pixels(simd, index, lane, mask, plane, top);
+            return;
+        }
+        self.top[index][lane] = top;
+        // A level reference can be replaced by a nearer one without a loss.
+        let block = &self.blocks[index];
+        let level = block.dx[lane] == 0.0 && block.dy[lane] == 0.0;
+        if (!(least > 0.0) || level) && working.covered(simd).simd_eq(u32x8::splat(simd, u32::MAX)).all_true() {
+            let closed = working.least();
+            if closed > least {
+                self.set_reference(index, lane, &Plane { at: closed, dx: 0.0, dy: 0.0 }, closed);
+            }
+        }
     }
 
     /// Closes pixels of a tile one by one; makes it detailed if it is not.
@@ -375,8 +396,8 @@ impl Tiles {
             self.top[index][lane] = top;
         }
         let working = &mut self.working[index * BLOCK + lane];
-        let covered = u32x8::from_slice(simd, &working.mask) | mask;
-        covered.store_slice(&mut working.mask);
+        let covered = working.covered(simd) | mask;
+        working.set_detailed(covered, working.detail);
         let pixels = &mut self.pixels[working.detail as usize - 1];
         pixels::raise(simd, pixels, mask, plane);
         if !(least > 0.0 || covered.simd_eq(all).all_true()) {
@@ -408,13 +429,14 @@ impl Tiles {
         let working = &mut self.working[index * BLOCK + lane];
         let mut covered = u32x8::from_slice(simd, &beyond);
         if in_force {
-            let mask = u32x8::from_slice(simd, &working.mask);
-            pixels::raise(simd, pixels, mask, &working.plane);
-            covered |= mask;
+            for layer in working.layers() {
+                let mask = u32x8::from_slice(simd, &layer.mask);
+                pixels::raise(simd, pixels, mask, &layer.plane);
+                covered |= mask;
+            }
         }
-        covered.store_slice(&mut working.mask);
         self.detailed += 1;
-        working.detail = self.detailed as u32;
+        working.set_detailed(covered, self.detailed as u32);
     }
 
     /// Pixels among `asked` of a tile that are not certainly closed nearer than the farthest of `limits`: depths in this tile
@@ -430,31 +452,26 @@ impl Tiles {
     ) -> bool {
         let index = tile_y * self.blocks_x + tile_x / BLOCK;
         let lane = tile_x % BLOCK;
-        let reference = self.reference(index, lane);
+        let (least, top) = (self.least[index][lane], self.top[index][lane]);
+        let working = &self.working[index * BLOCK + lane];
+        let (in_force, detailed) = (top > least, working.detail != 0);
         let mut open = asked;
-        if self.least[index][lane] > 0.0 {
+        if in_force && !detailed {
+            open = working.open(simd, open, limits);
+            if is_empty(simd, open) {
+                return false;
+            }
+        }
+        if least > 0.0 {
+            let reference = self.reference(index, lane);
             for limit in limits {
                 open &= !nearer(simd, &reference, limit);
             }
+            if is_empty(simd, open) {
+                return false;
+            }
         }
-        if is_empty(simd, open) {
-            return false;
-        }
-        if !(self.top[index][lane] > self.least[index][lane]) {
-            return true;
-        }
-        let working = &self.working[index * BLOCK + lane];
-        if working.detail != 0 {
-            return pixels::any_open(simd, &self.pixels[working.detail as usize - 1], open, limits);
-        }
-        let mask = u32x8::from_slice(simd, &working.mask);
-        if !is_empty(simd, open & !mask) {
-            return true;
-        }
-        for limit in limits {
-            open &= !nearer(simd, &working.plane, limit);
-        }
-        !is_empty(simd, open)
+        !(in_force && detailed) || pixels::any_open(simd, &self.pixels[working.detail as usize - 1], open, limits)
     }
 
     /// Whether anything was drawn over a pixel, for tests with one polygon.
@@ -465,7 +482,8 @@ impl Tiles {
         let lane = tile_x % BLOCK;
         let working = &self.working[index * BLOCK + lane];
         let whole = self.least[index][lane] > 0.0;
-        whole || (self.top[index][lane] != 0.0 && working.mask[y as usize % TILE_Y] >> (x % TILE_X as u32) & 1 == 1)
+        let covered = working.layers().iter().fold(0, |rows, layer| rows | layer.mask[y as usize % TILE_Y]);
+        whole || (self.top[index][lane] != 0.0 && covered >> (x % TILE_X as u32) & 1 == 1)
     }
 
     /// The depth at which a pixel is closed at least.
@@ -481,16 +499,27 @@ impl Tiles {
         }
         let working = &self.working[index * BLOCK + lane];
         let nearer = match working.detail as usize {
-            0 if working.mask[j] >> i & 1 == 1 => at(working.plane),
-            0 => 0.0,
+            0 => working.depth_at(i, j),
             place => self.pixels[place - 1][j * TILE_X + i],
         };
         reference.max(nearer)
     }
 }
 
-/// Pixels of a tile where `plane` is certainly above `limit`.
+/// Gives the tiles of a block another reference: a plane that starts at the depths `at`.
 #[inline(always)]
-fn nearer<S: Simd>(simd: S, plane: &Plane, limit: &Plane) -> u32x8<S> {
-    above(simd, &plane.minus(limit), plane.rounding() + limit.rounding())
+fn take_reference<S: Simd>(
+    simd: S,
+    block: &mut Block,
+    least: &mut [f32; BLOCK],
+    tiles: mask32x8<S>,
+    at: f32x8<S>,
+    at_least: f32x8<S>,
+    plane: &Plane,
+) {
+    let old_least = f32x8::from_slice(simd, least);
+    tiles.select(at, f32x8::from_slice(simd, &block.at)).store_slice(&mut block.at);
+    tiles.select(splat(simd, plane.dx), f32x8::from_slice(simd, &block.dx)).store_slice(&mut block.dx);
+    tiles.select(splat(simd, plane.dy), f32x8::from_slice(simd, &block.dy)).store_slice(&mut block.dy);
+    tiles.select(at_least, old_least).store_slice(least);
 }
