@@ -110,8 +110,13 @@ fn work_follows_what_is_visible_while_the_baseline_grows_with_what_is_hidden() {
         };
         let settings = [Variant::EveryObject, Variant::Explicit, Variant::Implicit]
             .map(|variant| TrackSetting::new("hierarchical-z", variant));
-        let run_rules =
-            RunRules { frames: 40, settle: 200, resolution: Resolution::new(64, 64), truth_every: 0, ..RunRules::default() };
+        let run_rules = RunRules {
+            frames: 40,
+            settle: 200,
+            resolution: Resolution::new(64, 64),
+            truth_every: 0,
+            ..RunRules::default()
+        };
         let mut world = TrackWorld::make(&world).unwrap();
         run(&mut world, &settings, &run_rules, &Registry::standard(), || {}).unwrap()
     };

@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use eyeline_client::tracking::{
-    Agents, FrameInput, FrameStats, FuzzySpeeds, Image, SceneTracker, TbvShape, TemporalBound, Validity, Variant, broken,
+    Agents, FrameInput, FrameStats, FuzzySpeeds, Image, SceneTracker, TbvShape, TemporalBound, Validity, Variant,
+    broken,
 };
 use eyeline_protocol::WorldTime;
 use eyeline_visibility::{

@@ -241,10 +241,8 @@ pub fn points(name: &str, options: &SweepOptions) -> Vec<SweepPoint> {
         }
         "calibrated" => {
             let shares = [0.0, 0.001, 0.01, 0.05, 0.2, 0.5];
-            let settings = shares.map(|fuzzy| TrackSetting {
-                fuzzy,
-                ..TrackSetting::new(&options.cullers[0], Variant::Explicit)
-            });
+            let settings =
+                shares.map(|fuzzy| TrackSetting { fuzzy, ..TrackSetting::new(&options.cullers[0], Variant::Explicit) });
             // A walker's hard limit must let it run.
             let world = TrackRules { slack: 6.0, ..random(rules([10, 10], Chairs::PerRoom(4))) };
             let run = RunRules { settle: 400, frames: 2_000, truth_every: 20, ..run };

@@ -133,7 +133,8 @@ impl TrackWorld {
         let reach =
             mesh.iter().flat_map(|triangle| triangle.corners).map(|c| c.as_dvec3().length()).fold(0.0, f64::max);
         let plan = Arc::new(made.plan);
-        let middle_room = plan.rooms.len() / 2 + if rules.rooms[1] % 2 == 0 { rules.rooms[0] as usize / 2 } else { 0 };
+        let middle_room =
+            plan.rooms.len() / 2 + if rules.rooms[1].is_multiple_of(2) { rules.rooms[0] as usize / 2 } else { 0 };
         let eye = match rules.eye {
             EyeKind::Still => still_eye(&plan, middle_room.min(plan.rooms.len() - 1)),
             EyeKind::Walking => {
@@ -324,7 +325,13 @@ impl TrackWorld {
     ///
     /// # Errors
     /// If too little is seen of them for the probability.
-    pub fn learn(&self, probability: f64, skip: u64, frame_time: Duration, longest: Duration) -> anyhow::Result<FuzzySpeeds> {
+    pub fn learn(
+        &self,
+        probability: f64,
+        skip: u64,
+        frame_time: Duration,
+        longest: Duration,
+    ) -> anyhow::Result<FuzzySpeeds> {
         let mut later = self.clone();
         let step_s = frame_time.as_secs_f64();
         for _ in 0..skip {
