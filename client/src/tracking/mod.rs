@@ -5,7 +5,7 @@
 //! validity *without messages*: a bound from the wire grows with time, T holds it grown to the end of a stage, and Q's
 //! events put it back grown further while it stays hidden. Only an exposed bound, or one at its expiry, costs a request.
 //!
-//! Where objects are at hand instead of behind a wire, a [`TemporalBound`] is made from what is known of their motion, for as long
+//! Where objects are at hand instead of behind a wire, a [`SceneTracker`] is the paper's algorithm in all its variants. A [`TemporalBound`] is made from what is known of their motion, for as long
 //! as a [`Validity`] says; [`FuzzySpeeds`] stand in for limits that are unknown or loose (§3.2, §3.4, §3.5).
 
 mod config;
