@@ -43,7 +43,7 @@ pub fn report(run: Run, sweeps: &[Swept]) -> anyhow::Result<Report> {
             broken += usize::from(!row.ok);
             report.push(row)?;
         }
-        report.plots.extend(plots(swept));
+        report.plots.extend(with_words(plots(swept), swept));
     }
     missed.dedup();
     report.headline = match broken {
@@ -57,9 +57,19 @@ pub fn report(run: Run, sweeps: &[Swept]) -> anyhow::Result<Report> {
             _ => format!("; missed in {}.", missed.join(", ")),
         };
     }
-    let labels = ["sweep", "x", "culler", "variant", "shape", "validity", "violated"];
+    let labels = ["sweep", "x", "culler", "variant", "shape", "validity"];
     report.compare(Comparison::new(&labels, "total_ms", "absences").by_series("variant"));
     Ok(report)
+}
+
+/// Puts what the paper says, and what was found here, under the first plot of a sweep.
+fn with_words(mut plots: Vec<Plot>, swept: &Swept) -> Vec<Plot> {
+    if !plots.is_empty() {
+        let found: Vec<&str> = swept.findings.iter().map(|finding| finding.text.as_str()).collect();
+        let first = plots.remove(0).with_note(format!("The paper: {} Here: {}.", swept.info.said, found.join(". ")));
+        plots.insert(0, first);
+    }
+    plots
 }
 
 fn plots(swept: &Swept) -> Vec<Plot> {
