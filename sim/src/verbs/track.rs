@@ -20,7 +20,7 @@ use super::resolution;
 /// Options of `track`.
 #[derive(Args)]
 pub struct Track {
-    /// Which sweeps: all, or names; a wrong name lists them
+    /// Which sweeps: all, or names; a wrong name lists them. All take some minutes, most of them `promise`
     #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "all")]
     sweep: Vec<String>,
 
