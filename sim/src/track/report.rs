@@ -139,7 +139,7 @@ fn plots(swept: &Swept) -> Vec<Plot> {
                 axis(),
                 Axis::linear("milliseconds per frame"),
             );
-            let label = |row: &TrackRow| format!("{} floors, {}", row.x, row.culler);
+            let label = |row: &TrackRow| format!("{}, {}", tables::floors(row), row.culler);
             for (part, of) in [("cull", (|row| row.frame_ms) as fn(&TrackRow) -> f64), ("draw", |row| row.draw_ms)] {
                 let bars = swept.rows.iter().map(|row| Point::bar(label(row), of(row))).collect();
                 plot = plot.with_series(Series::new(part, bars));

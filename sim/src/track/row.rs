@@ -71,6 +71,22 @@ pub const SHORT: [&str; 14] = [
     "absent_frames_max",
 ];
 
+/// The same for sweeps in which nothing moves but the eye.
+pub const SHORT_STILL: [&str; 12] = [
+    "x",
+    "culler",
+    "variant",
+    "work_static",
+    "work_drawing",
+    "nodes_in_frustum",
+    "relations_per_frame",
+    "relations_made_per_frame",
+    "frame_ms",
+    "draw_ms",
+    "total_ms",
+    "wrong_pixels_max",
+];
+
 /// What the columns mean.
 pub fn columns() -> Vec<Column> {
     let column = |key: &str, unit: &str, meaning: &str| Column::new(key, unit, meaning);

@@ -111,8 +111,10 @@ pub fn run(options: &Track) -> anyhow::Result<()> {
     run.wall_seconds = began.elapsed().as_secs_f64();
     let report = report(run, &sweeps)?;
     let written = report.write(&options.out)?;
-    let short: Vec<_> = columns().into_iter().filter(|column| row::SHORT.contains(&column.key.as_str())).collect();
     for swept in &sweeps {
+        let is_still = tables::SWEEPS.contains(&swept.info.name);
+        let short: &[&str] = if is_still { &row::SHORT_STILL } else { &row::SHORT };
+        let short: Vec<_> = columns().into_iter().filter(|column| short.contains(&column.key.as_str())).collect();
         let rows: Vec<_> = report.rows().iter().filter(|row| row.text("sweep") == swept.info.name).cloned().collect();
         super::print(&format!(
             "\n{} ({}): x is {}\n{}",
