@@ -98,7 +98,8 @@ pub fn columns() -> Vec<Column> {
         column(
             "variant",
             "",
-            "how T is kept: tbv-e (§3.3), tbv-i (§3.6), every-object (HZB with hierarchical-z), no-hierarchy (ZB with z-buffer)",
+            "how T is kept: tbv-e (§3.3), tbv-i (§3.6), every-object (HZB with hierarchical-z), no-hierarchy (ZB with z-buffer); \
+             in Coorg & Teller's tables, what the culler does without, or whether it keeps relations between frames",
         ),
         column("shape", "", "shape of the TBVs"),
         column("validity", "", "who chooses validity periods (§3.4)"),
