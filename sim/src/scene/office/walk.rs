@@ -29,7 +29,7 @@ pub fn walk(rules: &OfficeRules) -> Result<Vec<DVec3>, MadeError> {
     let mut way = Vec::new();
     for (floor, offices) in floors.iter().enumerate() {
         let base = floor as f64 * STOREY;
-        let even = floor % 2 == 0;
+        let even = floor.is_multiple_of(2);
         let corridors = [middle(ROWS[0].1, ROWS[1].0), middle(ROWS[2].1, ROWS[3].0)];
         let [here, there] = if even { corridors } else { [corridors[1], corridors[0]] };
         let eye = |at: DVec2, above: f64| DVec3::new(at.x, base + above + EYE_HEIGHT, at.y);
