@@ -15,6 +15,8 @@
 //! office has a door to its corridor, two workplaces, two bookcases, a stool and a pedestal. Walls cross in the corners and
 //! stand in the slabs, as in [`super::building`].
 
+mod walk;
+
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use glam::{DQuat, DVec2, DVec3, Vec2Swizzles};
@@ -27,6 +29,8 @@ use super::made::{CAMERAS_MAX, MadeError, MadeModel, check, solid};
 use super::plan::Rect;
 use crate::chance;
 use crate::cull::{Camera, CameraPath};
+
+pub use walk::walk;
 
 /// Height of a storey, floor to floor, and thickness of a slab.
 const STOREY: f64 = 3.2;
@@ -81,6 +85,14 @@ struct Office {
 /// # Errors
 /// Names the rule that no model can follow.
 pub fn make(rules: &OfficeRules) -> Result<MadeModel, MadeError> {
+    let (writer, offices) = build(rules)?;
+    let cameras = look_around(rules, &offices);
+    let triangles = writer.triangles();
+    Ok(MadeModel { glb: writer.finish()?, triangles, cameras })
+}
+
+/// The model, and the offices of each floor.
+fn build(rules: &OfficeRules) -> Result<(GlbWriter, Vec<Vec<Office>>), MadeError> {
     check("floors", rules.floors, 1, 30)?;
     check("cameras", rules.cameras, 0, CAMERAS_MAX)?;
     let mut writer = GlbWriter::new();
@@ -96,9 +108,7 @@ pub fn make(rules: &OfficeRules) -> Result<MadeModel, MadeError> {
         all.push(offices);
     }
     build_roof(rules.floors, &mut writer)?;
-    let cameras = look_around(rules, &all);
-    let triangles = writer.triangles();
-    Ok(MadeModel { glb: writer.finish()?, triangles, cameras })
+    Ok((writer, all))
 }
 
 /// The offices of a floor, row after row.

@@ -2,6 +2,7 @@
 
 use super::row::{TrackRow, columns};
 use super::sweep::{Finding, SweepInfo, lines};
+use super::tables;
 use crate::report::{Axis, Comparison, Plot, PlotKind, Point, Report, Run, Series};
 
 /// A sweep that was run.
@@ -130,6 +131,38 @@ fn plots(swept: &Swept) -> Vec<Plot> {
             }
             vec![plot]
         }
+        "occluders" => {
+            let mut plot =
+                line("polygons", Axis::log("polygons drawn (% of all)"), &|row| (row.x, tables::drawn_percent(row)));
+            // The frustum alone has no k: a line to compare with, from the first to the last.
+            let ends = [f64::min, f64::max].map(|least: fn(f64, f64) -> f64| {
+                swept.rows.iter().map(|row| row.x).filter(|x| *x > 0.0).reduce(least).unwrap_or(1.0)
+            });
+            for series in &mut plot.series {
+                if let [Point { x: 0.0, y, .. }] = series.points[..] {
+                    series.points = ends.map(|x| Point::new(x, y)).to_vec();
+                }
+            }
+            vec![plot]
+        }
+        "drawing" => {
+            let mut plot = Plot::new(
+                format!("{name} ({paper}): time"),
+                PlotKind::StackedBars,
+                axis(),
+                Axis::linear("milliseconds per frame"),
+            );
+            let label = |row: &TrackRow| format!("{}, {}", tables::floors(row), row.culler);
+            for (part, of) in [("cull", (|row| row.frame_ms) as fn(&TrackRow) -> f64), ("draw", |row| row.draw_ms)] {
+                let bars = swept.rows.iter().map(|row| Point::bar(label(row), of(row))).collect();
+                plot = plot.with_series(Series::new(part, bars));
+            }
+            vec![plot]
+        }
+        "observer" => vec![
+            line("time", Axis::linear("cull (ms)"), &|row| (row.x, row.frame_ms)),
+            line("relations", Axis::log("relations looked at per frame"), &|row| (row.x, row.relations_per_frame)),
+        ],
         "growth" => vec![line("messages", Axis::log("messages that hidden objects cause, per frame"), &|row| {
             (row.x, row.hidden_caused_per_frame)
         })],

@@ -31,6 +31,9 @@ pub struct TrackRow {
     pub work_static: f64,
     pub work_tracking: f64,
     pub work_drawing: f64,
+    pub nodes_in_frustum: f64,
+    pub relations_per_frame: f64,
+    pub relations_made_per_frame: f64,
     pub frame_ms: f64,
     pub frame_ms_p95: f64,
     pub draw_ms: f64,
@@ -70,6 +73,22 @@ pub const SHORT: [&str; 14] = [
     "absent_frames_max",
 ];
 
+/// The same for sweeps in which nothing moves but the eye.
+pub const SHORT_STILL: [&str; 12] = [
+    "x",
+    "culler",
+    "variant",
+    "work_static",
+    "work_drawing",
+    "nodes_in_frustum",
+    "relations_per_frame",
+    "relations_made_per_frame",
+    "frame_ms",
+    "draw_ms",
+    "total_ms",
+    "wrong_pixels_max",
+];
+
 /// What the columns mean.
 pub fn columns() -> Vec<Column> {
     let column = |key: &str, unit: &str, meaning: &str| Column::new(key, unit, meaning);
@@ -81,7 +100,8 @@ pub fn columns() -> Vec<Column> {
         column(
             "variant",
             "",
-            "how T is kept: tbv-e (§3.3), tbv-i (§3.6), every-object (HZB with hierarchical-z), no-hierarchy (ZB with z-buffer)",
+            "how T is kept: tbv-e (§3.3), tbv-i (§3.6), every-object (HZB with hierarchical-z), no-hierarchy (ZB with z-buffer); \
+             in Coorg & Teller's tables, what the culler does without, or whether it keeps relations between frames",
         ),
         column("shape", "", "shape of the TBVs"),
         column("validity", "", "who chooses validity periods (§3.4)"),
@@ -99,12 +119,27 @@ pub fn columns() -> Vec<Column> {
         column("hidden", "", "objects not displayed in a frame, mean"),
         column("violated", "", "share of the valid TBVs that is broken in each frame (Fig. 14)"),
         column("fuzzy", "", "probability with which a TBV may be broken, learned from motion (§3.5); 0 for hard ones"),
-        column("broken_share", "", "share of the TBVs obtained that their objects broke"),
+        column(
+            "broken_share",
+            "",
+            "share of the TBVs that their objects broke, of those that expired or were broken: one that is exposed first is not tried",
+        ),
         column("frames", "", "frames counted, after the first ones in which everything is new"),
         column("work", "", "nodes visited + bounds tested + primitives drawn, per frame"),
-        column("work_static", "", "of it, the static culler's nodes and bounds"),
+        column("work_static", "", "of it, the static culler's nodes and bounds, and relations looked at"),
         column("work_tracking", "", "of it, nodes of T visited and updated, and bounds tested"),
         column("work_drawing", "", "of it, primitives drawn: the visible set's and the displayed objects'"),
+        column(
+            "nodes_in_frustum",
+            "1/frame",
+            "nodes of the kD-tree in the frustum that large occluders were held against",
+        ),
+        column(
+            "relations_per_frame",
+            "1/frame",
+            "pairs of a large occluder and a box whose planes were looked at: the others' answers still held",
+        ),
+        column("relations_made_per_frame", "1/frame", "of them, pairs whose planes were computed"),
         column(
             "frame_ms",
             "ms",

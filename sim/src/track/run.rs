@@ -103,7 +103,7 @@ pub const ADAPTIVE: Validity = Validity::Adaptive {
 };
 
 /// Longest period for which fuzzy bounds are learned.
-const LEARNED: Duration = Duration::from_secs(30);
+pub const LEARNED: Duration = Duration::from_secs(30);
 
 /// How long and how closely to look.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -139,7 +139,7 @@ impl Default for RunRules {
 struct Contender {
     setting: TrackSetting,
     fuzzy: Option<FuzzySpeeds>,
-    /// Bounds obtained, and those of them that were broken.
+    /// Bounds that expired unbroken, and bounds that were broken.
     promises: [u64; 2],
     candidate: Box<dyn Candidate>,
     tracker: SceneTracker,
@@ -295,7 +295,7 @@ impl Contender {
         let input = FrameInput { now: world.now(), eye: view.eye, eye_moves: world.eye_moves() };
         let stats = self.tracker.frame(input, &mut agents, &mut image);
         let frame_ms = began.elapsed().as_secs_f64() * 1e3;
-        self.promises[0] += stats.bounds;
+        self.promises[0] += stats.expired;
         if !is_drawn {
             return;
         }
@@ -391,7 +391,7 @@ impl Contender {
             hidden: world.objects.len() as f64 - visible,
             violated: setting.violated,
             fuzzy: setting.fuzzy,
-            broken_share: self.promises[1] as f64 / self.promises[0].max(1) as f64,
+            broken_share: self.promises[1] as f64 / (self.promises[0] + self.promises[1]).max(1) as f64,
             frames: rules.frames,
             work: statics + tracking + drawing,
             work_static: statics,

@@ -11,7 +11,7 @@ use eyeline_sim::cull::Registry;
 use eyeline_sim::report::{Progress, Run, rfc3339, table};
 use eyeline_sim::track::report::{Swept, report};
 use eyeline_sim::track::{
-    SWEEPS, SweepInfo, SweepOptions, TrackWorld, columns, lca_sweep, row, run as run_trackers, sweep,
+    SWEEPS, SweepInfo, SweepOptions, TrackWorld, columns, lca_sweep, row, run as run_trackers, sweep, tables,
 };
 use eyeline_visibility::Resolution;
 
@@ -52,6 +52,9 @@ pub const EXAMPLES: &str = "Examples:
   What a world that grows costs in messages, and how long a bound should be valid:
   eyeline-sim track --sweep growth,validity
 
+  Coorg & Teller's tables 1 to 3 on the made offices:
+  eyeline-sim track --sweep occluders,drawing,observer
+
   No wrong pixel in 20,000 frames of unkind motion, over other cullers too:
   eyeline-sim track --sweep promise --cullers hierarchical-z,cplp,masked
 
@@ -76,13 +79,20 @@ pub fn run(options: &Track) -> anyhow::Result<()> {
     let planned: Vec<_> = chosen.iter().map(|info| (*info, sweep::points(info.name, &sweep_options))).collect();
     let frames: u64 =
         planned.iter().flat_map(|(_, points)| points).map(|point| point.run.settle + point.run.frames).sum();
-    let runs = if chosen.iter().any(|info| info.name == "lca") { lca_sweep::RUNS } else { 0 };
+    let without_world = chosen.iter().map(|info| match info.name {
+        "lca" => lca_sweep::RUNS,
+        name if tables::SWEEPS.contains(&name) => tables::frames(name, &sweep_options),
+        _ => 0,
+    });
+    let runs: u64 = without_world.sum();
     let progress = Progress::new(frames + runs, "frames");
     let mut sweeps = Vec::with_capacity(planned.len());
     for (info, points) in planned {
         let mut rows = Vec::new();
         if info.name == "lca" {
             rows = lca_sweep::run(|| progress.inc(1));
+        } else if tables::SWEEPS.contains(&info.name) {
+            rows = tables::run(info.name, &sweep_options, || progress.inc(1))?;
         }
         for point in points {
             let mut world = TrackWorld::make(&point.world)?;
@@ -101,8 +111,10 @@ pub fn run(options: &Track) -> anyhow::Result<()> {
     run.wall_seconds = began.elapsed().as_secs_f64();
     let report = report(run, &sweeps)?;
     let written = report.write(&options.out)?;
-    let short: Vec<_> = columns().into_iter().filter(|column| row::SHORT.contains(&column.key.as_str())).collect();
     for swept in &sweeps {
+        let is_still = tables::SWEEPS.contains(&swept.info.name);
+        let short: &[&str] = if is_still { &row::SHORT_STILL } else { &row::SHORT };
+        let short: Vec<_> = columns().into_iter().filter(|column| short.contains(&column.key.as_str())).collect();
         let rows: Vec<_> = report.rows().iter().filter(|row| row.text("sweep") == swept.info.name).cloned().collect();
         super::print(&format!(
             "\n{} ({}): x is {}\n{}",

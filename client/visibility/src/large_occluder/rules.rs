@@ -18,7 +18,7 @@ pub struct LargeOccluderRules {
     /// How the kD-tree is cut. By default as [`crate::KdRules`], with up to 2,048 triangles in a cell: the paper's tree has 250
     /// nodes, and furniture is tested by itself.
     pub cells: crate::KdRules,
-    /// Relations that a scratch keeps before it forgets them all. Default 65,536: about 30 MB.
+    /// Relations that a scratch keeps before it forgets them all. Default 262,144: about 120 MB, of which a scene of a million triangles needs most.
     pub relations_max: usize,
 }
 
@@ -31,7 +31,7 @@ impl Default for LargeOccluderRules {
             joint: true,
             details: true,
             cells: crate::KdRules::default().with_max_triangles_per_leaf(2048),
-            relations_max: 1 << 16,
+            relations_max: 1 << 18,
         }
     }
 }
