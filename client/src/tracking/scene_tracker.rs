@@ -19,112 +19,9 @@ use glam::DVec3;
 
 use super::{ExpiryQueue, Period, TemporalBound, Validity};
 
-/// How T is kept up to date.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Variant {
-    /// TBVe: visible objects are moved in T in every frame (§3.3). Exact.
-    Explicit,
-    /// TBVi: visible objects stay in T where they came into view (§3.6). One that comes into sight past the place where T has
-    /// it may be absent for one frame, and never for two running.
-    Implicit,
-    /// Every object is moved in T in every frame, hidden or not: the paper's HZB.
-    EveryObject,
-    /// Every object is shown in every frame, without T: the paper's ZB.
-    NoHierarchy,
-}
+mod terms;
 
-impl Variant {
-    /// All variants.
-    pub const ALL: [Variant; 4] = [Variant::Explicit, Variant::Implicit, Variant::EveryObject, Variant::NoHierarchy];
-
-    /// The name in reports and on command lines.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Variant::Explicit => "tbv-e",
-            Variant::Implicit => "tbv-i",
-            Variant::EveryObject => "every-object",
-            Variant::NoHierarchy => "no-hierarchy",
-        }
-    }
-
-    /// Whether hidden objects are left alone.
-    pub const fn uses_bounds(self) -> bool {
-        matches!(self, Variant::Explicit | Variant::Implicit)
-    }
-}
-
-impl std::str::FromStr for Variant {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Variant, String> {
-        Variant::ALL
-            .into_iter()
-            .find(|variant| variant.name() == text)
-            .ok_or_else(|| format!("'{text}' is not {}", Variant::ALL.map(Variant::name).join(", ")))
-    }
-}
-
-/// Whoever moves the objects: what would be asked over a network. Each call is a message.
-pub trait Agents {
-    /// A volume that contains the object as it is now, as tight as its culling should be (`upd_vis`, step 1).
-    fn configuration(&mut self, object: u32) -> Bound;
-    /// A TBV from now until `expires` (step 4 c).
-    fn temporal_bound(&mut self, object: u32, expires: WorldTime) -> TemporalBound;
-}
-
-/// The image of the frame, with the static scene in it.
-pub trait Image {
-    /// What is hidden by all that was drawn so far.
-    fn occlusion(&self) -> &dyn Occlusion;
-    /// Displays an object in its present configuration. Returns whether it hides what is behind it from now on.
-    fn draw(&mut self, object: u32) -> bool;
-}
-
-/// What a frame is about.
-#[derive(Clone, Copy, Debug)]
-pub struct FrameInput {
-    /// Its time.
-    pub now: WorldTime,
-    /// From where it is seen: nearer objects are drawn first.
-    pub eye: DVec3,
-    /// Whether the viewpoint moves, which halves validity periods (§3.4).
-    pub eye_moves: bool,
-}
-
-/// What a frame took.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct FrameStats {
-    /// Nodes of T visited, walking and updating, and bounds tested.
-    pub work: u64,
-    /// Configurations obtained: messages.
-    pub updates: u64,
-    /// TBVs obtained: messages.
-    pub bounds: u64,
-    /// Of both, those that were about objects that this frame does not show.
-    pub hidden_caused: u64,
-    /// TBVs that became visible.
-    pub exposed: u64,
-    /// TBVs whose time was up.
-    pub expired: u64,
-    /// TBVs that their objects had broken.
-    pub violated: u64,
-    /// Objects displayed.
-    pub shown: u64,
-}
-
-impl FrameStats {
-    /// Adds what another frame took.
-    pub fn add(&mut self, other: &FrameStats) {
-        self.work += other.work;
-        self.updates += other.updates;
-        self.bounds += other.bounds;
-        self.hidden_caused += other.hidden_caused;
-        self.exposed += other.exposed;
-        self.expired += other.expired;
-        self.violated += other.violated;
-        self.shown += other.shown;
-    }
-}
+pub use terms::{Agents, FrameInput, FrameStats, Image, Variant};
 
 #[derive(Clone, Debug)]
 enum State {
@@ -230,7 +127,8 @@ impl SceneTracker {
         }
     }
 
-    /// One frame of §3.3: calls [`Image::draw`] for each object that may be visible, nearest first.
+    /// One frame of §3.3: calls [`Image::draw`] for each object that may be visible, nearest first; without hierarchy in
+    /// order of ids.
     ///
     /// Any `now` will do: if time goes back, bounds issued after it are void.
     pub fn frame(&mut self, input: FrameInput, agents: &mut dyn Agents, image: &mut dyn Image) -> FrameStats {
@@ -239,12 +137,13 @@ impl SceneTracker {
         self.frames += 1;
         let (expired, due) = self.expire(input.now, &mut stats);
         if self.variant == Variant::NoHierarchy {
-            for &object in &self.visible {
+            for (&object, entry) in &mut self.entries {
                 agents.configuration(object);
                 image.draw(object);
+                entry.observed = self.frames;
             }
-            stats.updates += self.visible.len() as u64;
-            stats.shown += self.visible.len() as u64;
+            stats.updates = self.entries.len() as u64;
+            stats.shown = stats.updates;
             return stats;
         }
         // What is looked at directly in step 3: T has an old bound of it, or nothing.
@@ -270,11 +169,14 @@ impl SceneTracker {
             self.hide(&input, agents, image.occlusion(), (&expired, &due, &exposed), &mut stats);
         }
         stats.work += self.index.update_visits() - visits;
+        // Each object that is shown was asked about once, and no bound is of one that is.
+        stats.hidden_caused = stats.updates + stats.bounds - stats.shown;
         self.debug_check_sums();
         stats
     }
 
-    /// Step 1. Returns whose bounds expired, and with them those whose bounds are void for another reason: both ascending.
+    /// Step 1. Returns whose bounds expired unbroken, and with them those whose bounds are void for another reason: both
+    /// ascending.
     fn expire(&mut self, now: WorldTime, stats: &mut FrameStats) -> (Vec<u32>, Vec<u32>) {
         let mut expired = Vec::new();
         self.queue.expire(now, &mut expired);
@@ -290,7 +192,9 @@ impl SceneTracker {
         }
         self.now = now;
         stats.violated += self.violated.len() as u64;
-        due.extend(std::mem::take(&mut self.violated));
+        let violated = std::mem::take(&mut self.violated);
+        expired.retain(|object| !violated.contains(object));
+        due.extend(violated);
         due.sort_unstable();
         due.dedup();
         for &object in &due {
@@ -320,7 +224,7 @@ impl SceneTracker {
             stats.updates += 1;
             let bound = agents.configuration(object);
             stats.work += 1;
-            if !image.occlusion().hides(&bound) {
+            if !hides(image.occlusion(), &bound) {
                 candidates.push((nearest(&[bound], input.eye), object, Some(bound)));
             }
         }
@@ -333,7 +237,7 @@ impl SceneTracker {
             if has_grown {
                 let volume = present.as_ref().map_or(&entry.volume[..], std::slice::from_ref);
                 stats.work += volume.len() as u64;
-                if volume.iter().all(|bound| image.occlusion().hides(bound)) {
+                if volume.iter().all(|bound| hides(image.occlusion(), bound)) {
                     continue;
                 }
             }
@@ -345,7 +249,7 @@ impl SceneTracker {
                     stats.updates += 1;
                     let bound = agents.configuration(object);
                     stats.work += 1;
-                    if image.occlusion().hides(&bound) {
+                    if hides(image.occlusion(), &bound) {
                         continue;
                     }
                     present = Some(bound);
@@ -395,29 +299,29 @@ impl SceneTracker {
             }
             let period = entry.period;
             stats.bounds += 1;
-            // The bound, and the configuration that was obtained for nothing: of TBVi's visible objects, none was.
-            let was_looked_at = is_due || exposed.contains(&object);
-            stats.hidden_caused += 1 + u64::from(was_looked_at || self.variant != Variant::Implicit);
             let bound = match self.validity {
                 // Chosen here, from one bound, without further messages.
                 Validity::Exact { longest } => {
-                    let bound = agents.temporal_bound(object, input.now + longest);
+                    let bound = agents.temporal_bound(object, input.now + longest.max(self.frame_time));
                     let pieces = &mut self.pieces;
                     let mut tested = 0;
                     let chosen = self.validity.choose(&period, input.eye_moves, self.frame_time, &mut |validity| {
                         pieces.clear();
                         bound.volume(input.now + validity, pieces);
                         tested += pieces.len() as u64;
-                        pieces.iter().all(|piece| occlusion.hides(piece))
+                        pieces.iter().all(|piece| hides(occlusion, piece))
                     });
                     stats.work += tested;
-                    bound.with_expiry(input.now + chosen)
+                    // It may be good for less than was asked.
+                    bound.with_expiry((input.now + chosen).min(bound.expires()))
                 }
                 Validity::Fixed(_) | Validity::Adaptive { .. } => {
                     let chosen = self.validity.choose(&period, input.eye_moves, self.frame_time, &mut |_| true);
                     agents.temporal_bound(object, input.now + chosen)
                 }
             };
+            // A bound that holds from some later time on says nothing of now.
+            let bound = if bound.issued() > input.now { bound.with_expiry(input.now) } else { bound };
             self.visible.remove(&object);
             let mut pieces = std::mem::take(&mut self.pieces);
             pieces.clear();
@@ -544,6 +448,11 @@ impl SceneTracker {
         assert_eq!(self.queue.len() + self.visible.len(), self.entries.len());
         self.entries.keys().for_each(|&object| self.check_object(object));
     }
+}
+
+/// Whether a bound is hidden. One that makes no sense may be anywhere, as T takes it too.
+fn hides(occlusion: &dyn Occlusion, bound: &Bound) -> bool {
+    bound.outer_box().is_some() && occlusion.hides(bound)
 }
 
 /// Distance from the eye to the nearest of some volumes; 0 for what has no bounds.

@@ -75,6 +75,14 @@ impl Aabb {
         point.clamp(self.min, self.max).distance(point)
     }
 
+    /// The box with each face one step of rounding farther out.
+    fn stepped_out(&self) -> Aabb {
+        let Aabb { min, max } = self;
+        let down = DVec3::new(min.x.next_down(), min.y.next_down(), min.z.next_down());
+        let up = DVec3::new(max.x.next_up(), max.y.next_up(), max.z.next_up());
+        Aabb::new(down, up)
+    }
+
     /// The eight corners, x fastest.
     pub fn corners(&self) -> [DVec3; 8] {
         std::array::from_fn(|i| {
@@ -123,5 +131,21 @@ impl Bound {
             }
             Bound::Everywhere => None,
         }
+    }
+
+    /// A box that contains the bound, rounding included. `None` if nothing finite does or the bound makes no sense (NaN, a
+    /// negative radius, an inside-out box): nobody should be asked whether that is hidden.
+    pub fn outer_box(&self) -> Option<Aabb> {
+        let aabb = match *self {
+            Bound::Sphere { radius, .. } if radius >= 0.0 => self.aabb()?.stepped_out(),
+            Bound::Upright { radius, half_height, .. } if radius >= 0.0 && half_height >= 0.0 => {
+                self.aabb()?.stepped_out()
+            }
+            Bound::Box(aabb) => aabb,
+            Bound::Sphere { .. } | Bound::Upright { .. } | Bound::Everywhere => return None,
+        };
+        // The centre of a box near the greatest number would be infinite.
+        let sane = aabb.min.is_finite() && aabb.max.is_finite() && aabb.centre().is_finite() && !aabb.is_empty();
+        sane.then_some(aabb)
     }
 }

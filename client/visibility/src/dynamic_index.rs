@@ -250,7 +250,7 @@ impl DynamicOctree {
 impl DynamicIndex for DynamicOctree {
     fn insert(&mut self, key: u32, bound: Bound) {
         let old = self.places.get(&key).copied();
-        match outer_box(&bound) {
+        match bound.outer_box() {
             Some(aabb) => {
                 self.unbounded.remove(&key);
                 let node = self.home(old.map_or(ROOT, |place| place.node), &aabb);
@@ -361,19 +361,13 @@ impl Aabb {
     }
 }
 
-/// The box with each face one step of rounding farther out.
-fn outward(Aabb { min, max }: Aabb) -> Aabb {
-    let down = DVec3::new(min.x.next_down(), min.y.next_down(), min.z.next_down());
-    let up = DVec3::new(max.x.next_up(), max.y.next_up(), max.z.next_up());
-    Aabb::new(down, up)
-}
-
-/// How far a bound reaches from a point. Only of bounds that [`outer_box`] has a box for.
+/// How far a bound reaches from a point. Only of bounds that [`Bound::outer_box`] has a box for.
 fn reach_from(point: DVec3, bound: &Bound) -> f64 {
     round_up(match *bound {
         Bound::Sphere { centre, radius } => point.distance(centre) + radius,
         Bound::Upright { centre, radius, half_height } => point.distance(centre) + radius.hypot(half_height),
-        Bound::Box(aabb) => (aabb.centre() - point).abs().length() + 0.5 * aabb.size().length(),
+        // Its farthest corner. By way of its centre, what that loses in rounding far from the origin would be missing.
+        Bound::Box(aabb) => (aabb.max - point).abs().max((point - aabb.min).abs()).length(),
         Bound::Everywhere => f64::INFINITY,
     })
 }
@@ -383,232 +377,5 @@ fn round_up(reach: f64) -> f64 {
     reach * (1.0 + 1e-12)
 }
 
-/// A box that contains the bound, rounding included; `None` if nothing finite does or the bound makes no sense.
-pub(crate) fn outer_box(bound: &Bound) -> Option<Aabb> {
-    let aabb = match *bound {
-        Bound::Sphere { centre, radius } if radius >= 0.0 => outward(Aabb::around(centre, DVec3::splat(radius))),
-        Bound::Upright { centre, radius, half_height } if radius >= 0.0 && half_height >= 0.0 => {
-            outward(Aabb::around(centre, DVec3::new(radius, half_height, radius)))
-        }
-        Bound::Box(aabb) => aabb,
-        Bound::Sphere { .. } | Bound::Upright { .. } | Bound::Everywhere => return None,
-    };
-    // The centre of a box near the greatest number would be infinite.
-    let sane = aabb.min.is_finite() && aabb.max.is_finite() && aabb.centre().is_finite() && !aabb.is_empty();
-    sane.then_some(aabb)
-}
-
 #[cfg(test)]
-mod tests {
-    use std::cell::Cell;
-
-    use proptest::prelude::*;
-
-    use super::*;
-
-    impl DynamicOctree {
-        fn assert_well_formed(&self) {
-            let (mut nodes, mut bounds) = (0, 0);
-            let mut stack = vec![ROOT];
-            while let Some(at) = stack.pop() {
-                let node = self.node(at);
-                nodes += 1;
-                bounds += node.bounds.len();
-                assert_eq!((node.around, node.reach), self.tight(at), "boxes and balls are tight");
-                assert!(at == ROOT || !node.is_vacant(), "empty nodes are freed");
-                for (slot, entry) in node.bounds.iter().enumerate() {
-                    assert_eq!(self.places[&entry.key], Place { node: at, slot });
-                    assert!(at == ROOT || node.suits(&entry.aabb), "a bound lives where it fits");
-                    let child = node.child(node.octant(entry.aabb.centre()), at);
-                    let smaller = child.suits(&entry.aabb) && child.half >= self.half_min;
-                    assert!(!smaller, "a bound lives in the smallest node");
-                }
-                for child in node.present() {
-                    assert_eq!(self.node(child).parent, at);
-                    stack.push(child);
-                }
-                self.node(at).bounds.iter().for_each(|entry| self.debug_check(entry.key));
-            }
-            assert_eq!(nodes, self.node_count());
-            assert_eq!(bounds, self.places.len());
-        }
-    }
-
-    /// Hides what lies in any of some half-spaces `normal · p ≥ offset`, and nothing unbounded.
-    struct Walls {
-        walls: Vec<(DVec3, f64)>,
-        asked: Cell<usize>,
-    }
-
-    impl Walls {
-        fn new(walls: Vec<(DVec3, f64)>) -> Walls {
-            Walls { walls, asked: Cell::new(0) }
-        }
-    }
-
-    impl Occlusion for Walls {
-        fn hides(&self, bound: &Bound) -> bool {
-            self.asked.set(self.asked.get() + 1);
-            let Some(aabb) = bound.aabb() else { return false };
-            assert!(aabb.min.is_finite() && aabb.max.is_finite(), "only finite bounds are asked about");
-            self.walls.iter().any(|&(normal, offset)| match *bound {
-                Bound::Sphere { centre, radius } => normal.dot(centre) - radius * normal.length() >= offset,
-                _ => aabb.corners().iter().all(|corner| normal.dot(*corner) >= offset),
-            })
-        }
-    }
-
-    fn point() -> impl Strategy<Value = DVec3> {
-        // On the grid of cell borders, anywhere, and outside the world.
-        let coordinate =
-            || prop_oneof![(-70i8..70).prop_map(f64::from), -64f64..64.0, -64f64..64.0, -1e9f64..1e9, Just(f64::NAN)];
-        (coordinate(), coordinate(), coordinate()).prop_map(DVec3::from)
-    }
-
-    fn size() -> impl Strategy<Value = f64> {
-        prop_oneof![Just(0.0), 0f64..3.0, 0f64..3.0, 0f64..200.0, Just(f64::INFINITY), Just(-1.0)]
-    }
-
-    fn bound() -> impl Strategy<Value = Bound> {
-        prop_oneof![
-            (point(), size()).prop_map(|(centre, radius)| Bound::Sphere { centre, radius }),
-            (point(), size(), size(), size())
-                .prop_map(|(centre, x, y, z)| Bound::Box(Aabb::around(centre, DVec3::new(x, y, z)))),
-            Just(Bound::Everywhere),
-        ]
-    }
-
-    fn step() -> impl Strategy<Value = (u32, Option<Bound>)> {
-        (0u32..40, prop::option::weighted(0.8, bound()))
-    }
-
-    fn wall() -> impl Strategy<Value = (DVec3, f64)> {
-        let axis = prop_oneof![Just(DVec3::X), Just(DVec3::NEG_X), Just(DVec3::Z), Just(DVec3::new(1.0, -1.0, 0.5))];
-        (axis, -60f64..60.0)
-    }
-
-    proptest! {
-        #[test]
-        fn octree_exposes_what_a_list_does(
-            steps in prop::collection::vec(step(), 0..120), walls in prop::collection::vec(wall(), 0..3)
-        ) {
-            let mut octree = DynamicOctree::new(Aabb::around(DVec3::new(0.3, 0.0, 0.0), DVec3::splat(64.0)));
-            let mut list: BTreeMap<u32, Bound> = BTreeMap::new();
-            for (key, bound) in steps {
-                match bound {
-                    Some(bound) => {
-                        octree.insert(key, bound);
-                        list.insert(key, bound);
-                    }
-                    None => prop_assert_eq!(octree.remove(key), list.remove(&key).is_some()),
-                }
-                octree.assert_well_formed();
-                prop_assert_eq!(octree.len(), list.len());
-            }
-            let occlusion = Walls::new(walls);
-            let hidden = |bound: &Bound| outer_box(bound).is_some() && occlusion.hides(bound);
-            let expected: Vec<u32> = list.iter().filter(|(_, bound)| !hidden(bound)).map(|(key, _)| *key).collect();
-            let mut exposed = vec![7];
-            octree.exposed(&occlusion, &mut exposed);
-            prop_assert_eq!(&exposed[1..], expected);
-            for key in list.keys() {
-                octree.remove(*key);
-            }
-            octree.assert_well_formed();
-            prop_assert_eq!((octree.len(), octree.node_count()), (0, 1));
-        }
-
-        #[test]
-        fn order_of_updates_leaves_no_trace(bounds in prop::collection::vec(bound(), 1..40)) {
-            let world = Aabb::around(DVec3::ZERO, DVec3::splat(64.0));
-            let keyed: Vec<(u32, Bound)> = (0..).zip(bounds).collect();
-            let (mut forward, mut backward) = (DynamicOctree::new(world), DynamicOctree::new(world));
-            for &(key, bound) in &keyed {
-                forward.insert(key, bound);
-            }
-            for &(key, bound) in keyed.iter().rev() {
-                backward.insert(key, keyed[0].1);
-                backward.insert(key, bound);
-            }
-            let occlusion = Walls::new(vec![(DVec3::X, 10.0)]);
-            let (mut first, mut second) = (Vec::new(), Vec::new());
-            let work = forward.exposed(&occlusion, &mut first);
-            prop_assert_eq!(backward.exposed(&occlusion, &mut second), work);
-            prop_assert_eq!(first, second);
-            prop_assert_eq!(forward.node_count(), backward.node_count());
-        }
-    }
-
-    fn crowd(count: u32, west: f64) -> DynamicOctree {
-        let mut octree = DynamicOctree::new(Aabb::around(DVec3::ZERO, DVec3::splat(512.0)));
-        for key in 0..count {
-            // Scattered by multiples of the golden ratio, the same in every run.
-            let [x, z] = [0.618_033_988_75, 0.754_877_666_25].map(|share| (f64::from(key) * share).fract() * 400.0);
-            octree.insert(key, Bound::Sphere { centre: DVec3::new(x + west, 1.0, z - 200.0), radius: 1.0 });
-        }
-        octree
-    }
-
-    #[test]
-    fn hidden_crowd_costs_nothing() {
-        let occlusion = Walls::new(vec![(DVec3::X, 5.0)]);
-        for count in [10, 1_000, 20_000] {
-            let (mut octree, mut exposed) = (crowd(count, 10.0), Vec::new());
-            assert_eq!(octree.exposed(&occlusion, &mut exposed), 1, "one look at the root");
-            assert!(exposed.is_empty());
-
-            // One that may be seen costs its own path only.
-            octree.insert(u32::MAX, Bound::Sphere { centre: DVec3::new(-100.0, 1.0, 0.0), radius: 1.0 });
-            let work = octree.exposed(&occlusion, &mut exposed);
-            assert_eq!(exposed, [u32::MAX]);
-            assert!(work < 40, "{work} for one among {count}");
-        }
-    }
-
-    #[test]
-    fn work_grows_with_the_border_of_what_is_hidden() {
-        // A wall through the crowd: a fifth of it may be seen.
-        let occlusion = Walls::new(vec![(DVec3::X, 0.0)]);
-        let (octree, mut exposed) = (crowd(20_000, -80.0), Vec::new());
-        let work = octree.exposed(&occlusion, &mut exposed);
-        assert!((4_000..4_200).contains(&exposed.len()), "{}", exposed.len());
-        assert!(work < 4 * exposed.len(), "{work} for {} exposed of 20000", exposed.len());
-        assert!(occlusion.asked.get() <= work);
-    }
-
-    #[test]
-    fn step_to_a_neighbour_leaves_the_rest_alone() {
-        let mut octree = crowd(1_000, 0.0);
-        let (nodes, visits) = (octree.node_count(), octree.update_visits());
-        for step in 0..1_000 {
-            let centre = DVec3::new(f64::from(step) * 0.3, 1.0, 20.0);
-            octree.insert(5_000, Bound::Sphere { centre, radius: 1.0 });
-        }
-        octree.assert_well_formed();
-        // Steps of a third of a radius seldom leave the node: five or so a step, of eleven levels.
-        assert!((1_000..8_000).contains(&(octree.update_visits() - visits)), "{}", octree.update_visits() - visits);
-        octree.remove(5_000);
-        octree.assert_well_formed();
-        assert_eq!(octree.node_count(), nodes);
-    }
-
-    #[test]
-    fn worlds_without_a_sensible_box_still_work() {
-        let infinite = Aabb::new(DVec3::NEG_INFINITY, DVec3::INFINITY);
-        let huge = Aabb::around(DVec3::ZERO, DVec3::splat(1e300));
-        let point = Aabb::around(DVec3::splat(3.0), DVec3::ZERO);
-        let far = Aabb::around(DVec3::splat(1e6), DVec3::splat(1.0));
-        for world in [Aabb::EMPTY, infinite, huge, point, far, Aabb::around(DVec3::NAN, DVec3::ONE)] {
-            let mut octree = DynamicOctree::new(world);
-            for key in 0..50 {
-                let centre = DVec3::splat(f64::from(key) * 0.1);
-                octree.insert(key, Bound::Box(Aabb::around(centre, DVec3::splat(0.01))));
-                octree.insert(key + 50, Bound::Sphere { centre: centre + 1e6, radius: 0.1 });
-            }
-            octree.assert_well_formed();
-            let mut exposed = Vec::new();
-            octree.exposed(&Walls::new(vec![(DVec3::X, 1e5)]), &mut exposed);
-            assert_eq!(exposed, (0..50).collect::<Vec<u32>>());
-        }
-    }
-}
+mod tests;

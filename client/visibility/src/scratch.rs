@@ -70,7 +70,8 @@ impl Scratch {
     /// Draws moving things whose places are exact into the image that speaks, so that [`Scratch::occlusion`] hides what is
     /// behind them too, until the next cull (DESIGN.md §4). Positions are relative to the scene's anchor; only triangles that
     /// occlude are drawn, and none with corners that are not finite. Returns whether the image can be drawn into: `false`
-    /// after a [`crate::RegionCuller`], which speaks for eyes that see other sides, and where nothing speaks.
+    /// after a [`crate::RegionCuller`], which speaks for eyes that see other sides, after a [`crate::LargeOccluder`], which has
+    /// no image, and where nothing speaks.
     pub fn draw_moving(&mut self, triangles: &[Triangle]) -> bool {
         let finite = triangles.iter().filter(|triangle| triangle.corners.iter().all(|corner| corner.is_finite()));
         match (self.speaker, &mut self.query) {

@@ -21,7 +21,6 @@ use std::collections::BTreeSet;
 
 use rustc_hash::FxHashMap;
 
-use crate::dynamic_index::outer_box;
 use crate::{Aabb, Bound, DynamicIndex, Occlusion};
 use tree::{Grid, Node, Place, ROOT};
 
@@ -245,7 +244,7 @@ impl SplitOctree {
 impl DynamicIndex for SplitOctree {
     fn insert(&mut self, key: u32, bound: Bound) {
         let old = self.slots.get(&key).copied();
-        let Some(aabb) = outer_box(&bound) else {
+        let Some(aabb) = bound.outer_box() else {
             self.remove(key);
             self.unbounded.insert(key);
             return;

@@ -52,7 +52,7 @@ fn a_moving_screen_hides_what_is_behind_it_until_the_next_cull() {
         assert_eq!(hides(&scratch, &behind), [false; 3], "{name}: nor does glass");
 
         let drawn = scratch.draw_moving(&screen);
-        assert_eq!(drawn, name != every::FROM_A_REGION, "{name}");
+        assert_eq!(drawn, every::has_an_image(&name), "{name}");
         assert_eq!(hides(&scratch, &behind), [drawn; 3], "{name}");
         assert_eq!(hides(&scratch, &seen), [false; 6], "{name}: what is before or beside it, or its own bound");
 
@@ -101,7 +101,7 @@ fn no_bound_is_hidden_that_has_a_pixel_behind_walls_or_behind_what_moves() {
                 (bound(&mut rng, &aabb), with)
             })
             .collect();
-        for (name, culler) in cullers.iter().filter(|(name, _)| name != every::FROM_A_REGION) {
+        for (name, culler) in cullers.iter().filter(|(name, _)| every::has_an_image(name)) {
             culler.cull(&view, EyeRegion::point(view.eye), &mut scratch);
             let before: Vec<bool> = objects.iter().map(|(bound, _)| scratch.occlusion().hides(bound)).collect();
             assert!(scratch.draw_moving(&movers), "{name}");
@@ -131,4 +131,34 @@ fn a_crowd_behind_one_of_them_is_hidden_by_the_pyramid() {
     // A lorry drives past.
     assert!(scratch.draw_moving(&block([-3.0, 0.0, -2.5], [3.0, 3.2, -2.3], true)));
     assert_eq!(hidden(&scratch), 100);
+}
+
+#[test]
+fn a_bound_that_is_not_finite_is_never_hidden() {
+    let (scene, view) = field();
+    // Everything is behind this one.
+    let screen = block([-9.0, -9.0, -1.2], [9.0, 9.0, -1.0], true);
+    let far = DVec3::new(0.0, 1.0, -5.0);
+    let cube = |min, max| Bound::Box(Aabb::new(min, max));
+    let bounds = [
+        Bound::Sphere { centre: DVec3::NAN, radius: 1.0 },
+        Bound::Sphere { centre: far.with_y(f64::NAN), radius: 0.1 },
+        Bound::Sphere { centre: far, radius: f64::NAN },
+        Bound::Sphere { centre: far, radius: f64::INFINITY },
+        Bound::Sphere { centre: DVec3::X * f64::NEG_INFINITY, radius: 1.0 },
+        Bound::Upright { centre: far, radius: f64::NAN, half_height: 0.1 },
+        Bound::Upright { centre: far, radius: 0.1, half_height: f64::INFINITY },
+        cube(DVec3::NEG_INFINITY, DVec3::INFINITY),
+        cube(far, far.with_x(f64::INFINITY)),
+        cube(far, far.with_z(f64::NAN)),
+        Bound::Everywhere,
+    ];
+    for (name, culler) in every::all(&scene) {
+        let mut scratch = Scratch::default();
+        culler.cull(&view, EyeRegion::point(view.eye), &mut scratch);
+        scratch.draw_moving(&screen);
+        for bound in &bounds {
+            assert!(!scratch.occlusion().hides(bound), "{name}: {bound:?}");
+        }
+    }
 }

@@ -342,14 +342,9 @@ impl Contender {
             self.absent.insert(object, running);
         }
         // The promise that the rest stands on.
-        let mut pieces = Vec::new();
         for object in 0..world.objects.len() as u32 {
             let Some(bound) = self.tracker.bound(object) else { continue };
-            pieces.clear();
-            bound.volume(bound.expires(), &mut pieces);
-            let position = world.position(object);
-            let holds = pieces.iter().any(|piece| contains(piece, position));
-            self.row.broken_bounds += u64::from(!holds);
+            self.row.broken_bounds += u64::from(broken(bound, world.position(object), world.now()));
         }
         self.tracker.check();
     }
@@ -428,18 +423,6 @@ pub fn validity_name(validity: &Validity) -> String {
         Validity::Fixed(period) => format!("fixed {} s", period.as_secs_f64()),
         Validity::Adaptive { .. } => "adaptive".into(),
         Validity::Exact { .. } => "exact".into(),
-    }
-}
-
-fn contains(bound: &Bound, point: DVec3) -> bool {
-    match *bound {
-        Bound::Everywhere => true,
-        Bound::Box(aabb) => aabb.contains(point),
-        Bound::Sphere { centre, radius } => centre.distance(point) <= radius,
-        Bound::Upright { centre, radius, half_height } => {
-            let off = point - centre;
-            off.x.hypot(off.z) <= radius && off.y.abs() <= half_height
-        }
     }
 }
 

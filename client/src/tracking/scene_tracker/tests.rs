@@ -1,10 +1,13 @@
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use eyeline_visibility::{Aabb, DynamicOctree};
 use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
 
 use super::*;
-use crate::tracking::{MotionLimits, MotionState, TbvShape};
+use crate::tracking::{MotionLimits, MotionState, TbvShape, Trajectory};
 
 const FRAME: Duration = Duration::from_millis(50);
 const SPEED: f64 = 2.0;
@@ -87,7 +90,8 @@ fn frame(tracker: &mut SceneTracker, line: &mut Line, now: WorldTime, wall: f64)
     let stats = tracker.frame(input, line, &mut screen);
     tracker.check();
     screen.drawn.sort_unstable();
-    assert!(tracker.shown().eq(screen.drawn.iter().copied()) || tracker.variant == Variant::NoHierarchy);
+    assert!(tracker.shown().eq(screen.drawn.iter().copied()));
+    assert_eq!(stats.shown, screen.drawn.len() as u64);
     (screen.drawn, stats)
 }
 
@@ -114,7 +118,7 @@ fn event() -> impl Strategy<Value = Event> {
 }
 
 fn variant() -> impl Strategy<Value = Variant> {
-    prop_oneof![Just(Variant::Explicit), Just(Variant::Implicit), Just(Variant::EveryObject)]
+    prop::sample::select(Variant::ALL.to_vec())
 }
 
 fn validity() -> impl Strategy<Value = Validity> {
@@ -185,7 +189,8 @@ proptest! {
                         prop_assert!(*running <= 1, "object {} absent twice running", object);
                     }
                 }
-                _ => prop_assert_eq!(shown, in_sight),
+                Variant::NoHierarchy => prop_assert!(shown.iter().eq(line.places.keys())),
+                Variant::Explicit | Variant::EveryObject => prop_assert_eq!(shown, in_sight),
             }
         }
         for object in line.places.keys() {
@@ -263,4 +268,261 @@ fn adaptive_periods_find_a_length_that_neither_expires_nor_exposes_all_the_time(
     let exact = messages(Validity::Exact { longest: ms(600_000) });
     assert!(adaptive * 5 < short && adaptive * 5 < long, "{adaptive} against {short} and {long}");
     assert!(exact < adaptive, "{exact} against {adaptive}");
+}
+
+/// Answers of no sense at all, by number.
+struct Liar {
+    chance: Pcg64,
+    now: WorldTime,
+    /// Who may be anywhere by what was answered last.
+    nowhere: BTreeSet<u32>,
+}
+
+const STRANGE: [f64; 8] = [0.0, -1.0, 1.0, 1e6, 1e300, f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
+const TIMES: [WorldTime; 5] = [
+    WorldTime::MIN,
+    WorldTime::MAX,
+    WorldTime::ZERO,
+    WorldTime::from_micros(-1),
+    WorldTime::from_micros(3_600_000_000),
+];
+
+impl Liar {
+    fn strange(&mut self) -> f64 {
+        STRANGE[self.chance.random_range(0..STRANGE.len())]
+    }
+
+    fn strange_point(&mut self) -> DVec3 {
+        DVec3::new(self.strange(), self.strange(), self.strange())
+    }
+
+    fn time(&mut self) -> WorldTime {
+        match self.chance.random_range(0..4) {
+            0 => TIMES[self.chance.random_range(0..TIMES.len())],
+            _ => self.now.offset_micros(self.chance.random_range(-200_000..2_000_000)),
+        }
+    }
+}
+
+struct Nowhere;
+
+impl Trajectory for Nowhere {
+    fn position(&self, at: WorldTime) -> DVec3 {
+        DVec3::splat(if at.micros() % 2 == 0 { 0.0 } else { f64::NAN })
+    }
+
+    fn speed_max(&self) -> f64 {
+        1.0
+    }
+}
+
+impl Agents for Liar {
+    fn configuration(&mut self, object: u32) -> Bound {
+        let bound = match self.chance.random_range(0..5) {
+            0 => Bound::Everywhere,
+            1 => Bound::Sphere { centre: self.strange_point(), radius: self.strange() },
+            2 => Bound::Upright { centre: self.strange_point(), radius: self.strange(), half_height: self.strange() },
+            3 => Bound::Box(Aabb::new(self.strange_point(), self.strange_point())),
+            _ => Bound::Box(Aabb::around(DVec3::X * self.chance.random_range(-9.0..9.0), DVec3::ONE)),
+        };
+        self.nowhere.remove(&object);
+        if bound.outer_box().is_none() {
+            self.nowhere.insert(object);
+        }
+        bound
+    }
+
+    fn temporal_bound(&mut self, _object: u32, expires: WorldTime) -> TemporalBound {
+        let shapes = [
+            TbvShape::SpeedSphere,
+            TbvShape::AccelerationSphere,
+            TbvShape::Box,
+            TbvShape::Swept { pieces: 3 },
+            TbvShape::Everywhere,
+        ];
+        let shape = shapes[self.chance.random_range(0..shapes.len())];
+        let state = MotionState { position: self.strange_point(), velocity: self.strange_point() };
+        let limits = MotionLimits {
+            speed_max: self.strange(),
+            acceleration_max: self.strange(),
+            axis_speed_max: self.strange_point(),
+            reach: self.strange(),
+        };
+        let (issued, other) = (self.time(), self.time());
+        let expires = if self.chance.random_bool(0.5) { expires } else { other };
+        TemporalBound::new(shape, state, limits, Some(Arc::new(Nowhere)), issued, expires)
+    }
+}
+
+#[test]
+fn answers_of_no_sense_are_shown_and_leave_nothing_behind() {
+    let validities = [
+        Validity::Fixed(Duration::ZERO),
+        Validity::Fixed(Duration::MAX),
+        Validity::Adaptive { first: Duration::ZERO, shortest: Duration::ZERO, longest: Duration::MAX },
+        Validity::Exact { longest: Duration::ZERO },
+        Validity::Exact { longest: Duration::MAX },
+    ];
+    let frames = [Duration::ZERO, FRAME, Duration::MAX];
+    let ids = [0, 1, 7, u32::MAX - 1, u32::MAX];
+    let mut seed = 0;
+    for variant in Variant::ALL {
+        for (validity, frame_time) in validities.iter().flat_map(|&validity| frames.map(|frame| (validity, frame))) {
+            seed += 1;
+            let index = DynamicOctree::new(Aabb::around(DVec3::ZERO, DVec3::splat(64.0)));
+            let mut tracker = SceneTracker::new(variant, validity, frame_time, Box::new(index));
+            let mut liar = Liar { chance: Pcg64::seed_from_u64(seed), now: WorldTime::ZERO, nowhere: BTreeSet::new() };
+            for _ in 0..60 {
+                let object = ids[liar.chance.random_range(0..ids.len())];
+                match liar.chance.random_range(0..4) {
+                    0 => {
+                        tracker.remove(object);
+                    }
+                    1 => tracker.handle_violation(object),
+                    _ => tracker.insert(object),
+                }
+                tracker.check();
+                liar.now = liar.time();
+                let mut screen = Screen { wall: Wall(0.0), drawn: Vec::new() };
+                let input = FrameInput { now: liar.now, eye: liar.strange_point(), eye_moves: liar.chance.random() };
+                liar.nowhere.clear();
+                let stats = tracker.frame(input, &mut liar, &mut screen);
+                tracker.check();
+                // Who was asked in this frame and may be anywhere is shown.
+                assert!(liar.nowhere.iter().all(|object| screen.drawn.contains(object)), "seed {seed}");
+                assert_eq!(stats.hidden_caused + stats.shown, stats.updates + stats.bounds, "seed {seed}");
+            }
+            for object in ids {
+                tracker.remove(object);
+            }
+            tracker.check();
+            assert_eq!((tracker.counts(), tracker.index.len(), tracker.queue.len()), ((0, 0), 0, 0));
+            assert!(tracker.violated.is_empty());
+        }
+    }
+}
+
+#[test]
+fn a_tracker_of_nothing_does_nothing() {
+    for variant in Variant::ALL {
+        let mut tracker = tracker(variant, Validity::Fixed(Duration::ZERO));
+        assert!(!tracker.remove(3));
+        tracker.handle_violation(3);
+        let (drawn, stats) = frame(&mut tracker, &mut Line::default(), WorldTime::ZERO, 0.0);
+        assert!(drawn.is_empty() && stats.work <= 1, "{stats:?}");
+        assert_eq!(FrameStats { work: 0, ..stats }, FrameStats::default());
+    }
+}
+
+#[test]
+fn objects_that_come_and_go_use_keys_again() {
+    let mut tracker = tracker(Variant::Explicit, Validity::Fixed(Duration::from_secs(1)));
+    let mut line = Line { shape: Some(TbvShape::Box), ..still_line(20, 30.0) };
+    for round in 0..200_u32 {
+        let base = round * 20;
+        line.places = (base..base + 20).map(|object| (object, 30.0)).collect();
+        line.places.keys().for_each(|&object| tracker.insert(object));
+        frame(&mut tracker, &mut line, WorldTime::ZERO + FRAME * round, 0.0);
+        line.places.keys().for_each(|&object| tracker.handle_violation(object));
+        line.places.keys().for_each(|&object| assert!(tracker.remove(object)));
+    }
+    assert!(tracker.owners.len() <= 20, "{}", tracker.owners.len());
+    assert!(tracker.violated.is_empty());
+}
+
+/// Answers with bounds that hold from `issued` until `expires`, whatever was asked for.
+struct Stubborn {
+    line: Line,
+    issued: WorldTime,
+    expires: WorldTime,
+}
+
+impl Agents for Stubborn {
+    fn configuration(&mut self, object: u32) -> Bound {
+        self.line.configuration(object)
+    }
+
+    fn temporal_bound(&mut self, object: u32, expires: WorldTime) -> TemporalBound {
+        self.line.now = self.issued;
+        self.line.temporal_bound(object, expires.min(self.expires))
+    }
+}
+
+#[test]
+fn a_bound_is_believed_for_no_longer_and_no_sooner_than_it_holds() {
+    let millis = |millis: i64| WorldTime::from_micros(millis * 1_000);
+    let second = Duration::from_secs(1);
+    for (issued, expires, asked_at) in [
+        // For less than a frame.
+        (0, 20, 50),
+        (0, 120, 100),
+        // From later on.
+        (700, 2_000, 50),
+    ] {
+        for validity in [Validity::Fixed(second), Validity::Exact { longest: second }] {
+            let line = still_line(1, 30.0);
+            let mut stubborn = Stubborn { line, issued: millis(issued), expires: millis(expires) };
+            let mut tracker = tracker(Variant::Explicit, validity);
+            tracker.insert(0);
+            let mut asked = Vec::new();
+            for now in [0, 50, 100] {
+                let mut screen = Screen { wall: Wall(0.0), drawn: Vec::new() };
+                let input = FrameInput { now: millis(now), eye: DVec3::ZERO, eye_moves: false };
+                let stats = tracker.frame(input, &mut stubborn, &mut screen);
+                tracker.check();
+                assert!(screen.drawn.is_empty());
+                asked.extend((stats.bounds > 0).then_some(now));
+            }
+            assert_eq!(asked.get(1), Some(&asked_at), "{issued} to {expires} ms, {validity:?}: {asked:?}");
+        }
+    }
+}
+
+#[test]
+fn an_exact_period_is_a_frame_at_least_whatever_the_greatest_is() {
+    let mut tracker = tracker(Variant::Explicit, Validity::Exact { longest: Duration::ZERO });
+    let mut line = still_line(1, 30.0);
+    tracker.insert(0);
+    frame(&mut tracker, &mut line, WorldTime::ZERO, 0.0);
+    assert_eq!(tracker.bound(0).map(TemporalBound::expires), Some(WorldTime::ZERO + FRAME));
+}
+
+#[test]
+fn messages_about_what_is_not_shown_are_counted_for_every_variant() {
+    for (variant, expected) in [
+        // One of ten is in sight. The nine are asked about and get a bound; then they are left alone.
+        (Variant::Explicit, [18, 0]),
+        (Variant::Implicit, [18, 0]),
+        (Variant::EveryObject, [9, 9]),
+        (Variant::NoHierarchy, [0, 0]),
+    ] {
+        let mut tracker = tracker(variant, Validity::Fixed(Duration::from_secs(9)));
+        let mut line = still_line(9, 40.0);
+        line.places.insert(9, -5.0);
+        (0..10).for_each(|object| tracker.insert(object));
+        let found = [0, 1].map(|number| {
+            let (_, stats) = frame(&mut tracker, &mut line, WorldTime::ZERO + FRAME * number, 0.0);
+            stats.hidden_caused
+        });
+        assert_eq!(found, expected, "{variant:?}");
+    }
+}
+
+#[test]
+fn a_broken_bound_says_nothing_about_its_length_even_if_it_also_expired() {
+    let ms = Duration::from_millis;
+    let validity = Validity::Adaptive { first: ms(50), shortest: ms(50), longest: ms(60_000) };
+    let lengths = [false, true].map(|is_broken| {
+        let (mut tracker, mut line) = (tracker(Variant::Explicit, validity), still_line(1, 40.0));
+        tracker.insert(0);
+        for number in 0..4 {
+            if is_broken {
+                tracker.handle_violation(0);
+            }
+            frame(&mut tracker, &mut line, WorldTime::ZERO + FRAME * number, 0.0);
+        }
+        tracker.entries[&0].period.length()
+    });
+    // 50 ms, and from the second frame on 100, which end in the fourth.
+    assert_eq!(lengths, [ms(200), ms(50)]);
 }

@@ -179,7 +179,7 @@ proptest! {
         let mut exposed = vec![7];
         tree.exposed(&Walls(vec![(DVec3::X, west)]), &mut exposed);
         let wall = Walls(vec![(DVec3::X, west)]);
-        let hidden = |bound: &Bound| outer_box(bound).is_some() && wall.hides(bound);
+        let hidden = |bound: &Bound| bound.outer_box().is_some() && wall.hides(bound);
         let expected: Vec<u32> = (0..).zip(&bounds).filter(|(_, bound)| !hidden(bound)).map(|(key, _)| key).collect();
         prop_assert_eq!(&exposed[1..], expected);
 
@@ -189,7 +189,7 @@ proptest! {
         tree.exposed(&walls, &mut exposed);
         prop_assert!(exposed.is_sorted_by(|a, b| a < b));
         for (key, bound) in (0..).zip(&bounds) {
-            let Some(aabb) = outer_box(bound) else { continue };
+            let Some(aabb) = bound.outer_box() else { continue };
             let listed = exposed.binary_search(&key).is_ok();
             prop_assert!(!(listed && walls.hides(bound)));
             let corners_hidden = aabb.corners().iter().all(|corner| corner.x >= west || corner.y >= up);

@@ -99,6 +99,11 @@ pub fn answers_for_balls(name: &str) -> bool {
     name == FROM_A_REGION || name.starts_with("large occluders")
 }
 
+/// Whether a culler has an image that moving things can be drawn into. Planes and shrunken polygons have none.
+pub fn has_an_image(name: &str) -> bool {
+    !answers_for_balls(name)
+}
+
 /// The name of the [`RegionCuller`].
 pub const FROM_A_REGION: &str = "from a region";
 
