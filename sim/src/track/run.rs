@@ -105,6 +105,12 @@ pub const ADAPTIVE: Validity = Validity::Adaptive {
 /// Longest period for which fuzzy bounds are learned.
 pub const LEARNED: Duration = Duration::from_secs(30);
 
+/// Frames between bounds that are made for trial.
+const TRIAL_FRAMES: u64 = 20;
+
+/// For how long they are valid, in turn.
+const TRIAL_PERIODS_S: [f64; 5] = [0.2, 1.0, 3.0, 10.0, 25.0];
+
 /// How long and how closely to look.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RunRules {
@@ -139,8 +145,12 @@ impl Default for RunRules {
 struct Contender {
     setting: TrackSetting,
     fuzzy: Option<FuzzySpeeds>,
-    /// Bounds that expired unbroken, and bounds that were broken.
+    /// Fuzzy bounds on trial, whose time is not up.
+    pending: Vec<(u32, TemporalBound)>,
+    /// Those whose time was up and that held, and those that were broken.
     promises: [u64; 2],
+    /// Frames so far in which bounds were on trial.
+    trials: u64,
     candidate: Box<dyn Candidate>,
     tracker: SceneTracker,
     culled: Culled,
@@ -249,7 +259,9 @@ impl Contender {
         Ok(Contender {
             setting: setting.clone(),
             fuzzy,
+            pending: Vec::new(),
             promises: [0; 2],
+            trials: 0,
             candidate,
             tracker,
             culled: Culled::default(),
@@ -269,10 +281,27 @@ impl Contender {
         if self.fuzzy.is_none() {
             return;
         }
+        // Bounds for trial are made at regular times. The tracker's own are made when something has happened, often to objects
+        // that have just broken another, and are no fair sample.
+        if self.trials.is_multiple_of(TRIAL_FRAMES) {
+            for object in 0..world.objects.len() as u32 {
+                let number = (self.trials / TRIAL_FRAMES + u64::from(object)) as usize % TRIAL_PERIODS_S.len();
+                let expires = world.now() + Duration::from_secs_f64(TRIAL_PERIODS_S[number]);
+                let bound = world.temporal_bound(object, self.setting.shape, self.fuzzy.as_ref(), expires);
+                self.pending.push((object, bound));
+            }
+        }
+        self.trials += 1;
+        let promises = &mut self.promises;
+        self.pending.retain(|(object, bound)| {
+            let is_broken = broken(bound, world.position(*object), world.now());
+            let is_over = world.now() >= bound.expires();
+            promises[usize::from(is_broken)] += u64::from(is_broken || is_over);
+            !is_broken && !is_over
+        });
         for object in 0..world.objects.len() as u32 {
             let Some(bound) = self.tracker.bound(object) else { continue };
             if broken(bound, world.position(object), world.now()) {
-                self.promises[1] += 1;
                 self.tracker.handle_violation(object);
             }
         }
@@ -295,7 +324,6 @@ impl Contender {
         let input = FrameInput { now: world.now(), eye: view.eye, eye_moves: world.eye_moves() };
         let stats = self.tracker.frame(input, &mut agents, &mut image);
         let frame_ms = began.elapsed().as_secs_f64() * 1e3;
-        self.promises[0] += stats.expired;
         if !is_drawn {
             return;
         }
@@ -386,6 +414,8 @@ impl Contender {
             hidden: world.objects.len() as f64 - visible,
             violated: setting.violated,
             fuzzy: setting.fuzzy,
+            violated_per_frame: per_frame(self.total.violated),
+            tried_bounds: self.promises[0] + self.promises[1],
             broken_share: self.promises[1] as f64 / (self.promises[0] + self.promises[1]).max(1) as f64,
             frames: rules.frames,
             work: statics + tracking + drawing,
