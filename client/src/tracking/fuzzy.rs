@@ -367,6 +367,15 @@ mod tests {
     }
 
     #[test]
+    fn of_a_hundred_distances_one_percent_is_the_farthest_alone() {
+        let distances = || (1..=100).rev().map(f64::from).collect::<Vec<f64>>();
+        for (share, expected) in [(0.0, 100.0), (0.01, 99.0), (0.019, 99.0), (0.2, 80.0), (0.99, 1.0), (1.0, 0.0)] {
+            assert_eq!(exceeded(&mut distances(), share), expected, "{share}");
+        }
+        assert_eq!(exceeded(&mut [], 0.5), 0.0);
+    }
+
+    #[test]
     fn bad_input_is_refused() {
         let second = Duration::from_secs(1);
         let track: Samples = (0..50).map(|i| (WorldTime::ZERO + STEP * i, DVec3::X * f64::from(i))).collect();

@@ -340,7 +340,6 @@ impl SceneTracker {
     /// to move it under a least common ancestor costs less than to delete it and to insert another.
     fn delete_bound(&mut self, object: u32) {
         self.queue.cancel(object);
-        self.violated.remove(&object);
         if let Some(entry) = self.entries.get_mut(&object) {
             entry.state = State::Visible;
             self.visible.insert(object);

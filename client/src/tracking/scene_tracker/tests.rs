@@ -472,6 +472,8 @@ fn a_bound_is_believed_for_no_longer_and_no_sooner_than_it_holds() {
                 tracker.check();
                 assert!(screen.drawn.is_empty());
                 asked.extend((stats.bounds > 0).then_some(now));
+                let until = tracker.bound(0).map(TemporalBound::expires);
+                assert!(until <= Some(stubborn.expires), "{until:?}: longer than was said");
             }
             assert_eq!(asked.get(1), Some(&asked_at), "{issued} to {expires} ms, {validity:?}: {asked:?}");
         }
@@ -525,4 +527,132 @@ fn a_broken_bound_says_nothing_about_its_length_even_if_it_also_expired() {
     });
     // 50 ms, and from the second frame on 100, which end in the fourth.
     assert_eq!(lengths, [ms(200), ms(50)]);
+}
+
+#[test]
+fn a_clock_that_goes_back_voids_what_was_issued_later() {
+    for jump_back in [false, true] {
+        let mut tracker = tracker(Variant::Explicit, Validity::Fixed(Duration::from_secs(1)));
+        let mut line = still_line(1, 10.0);
+        tracker.insert(0);
+        let hour = WorldTime::from_micros(3_600_000_000);
+        frame(&mut tracker, &mut line, hour, 0.0);
+        let start = if jump_back { WorldTime::ZERO } else { hour };
+        // Walks into sight, no faster than it may, which takes longer than the bound was for.
+        for number in 1..150 {
+            let x = 10.0 - 0.1 * f64::from(number);
+            line.places.insert(0, x);
+            let (drawn, _) = frame(&mut tracker, &mut line, start + FRAME * number, 0.0);
+            assert_eq!(drawn.is_empty(), x - REACH > 0.0, "at {x}, jump {jump_back}");
+        }
+    }
+}
+
+#[test]
+fn the_period_of_what_has_just_gone_out_of_view_starts_anew() {
+    let ms = Duration::from_millis;
+    let validity = Validity::Adaptive { first: ms(50), shortest: ms(50), longest: ms(60_000) };
+    let (mut tracker, mut line) = (tracker(Variant::Explicit, validity), still_line(1, 40.0));
+    tracker.insert(0);
+    let mut length = |x: f64, number: u32| {
+        line.places.insert(0, x);
+        frame(&mut tracker, &mut line, WorldTime::ZERO + FRAME * number, 0.0);
+        tracker.entries[&0].period.length()
+    };
+    for number in 0..20 {
+        length(40.0, number);
+    }
+    assert!(length(40.0, 20) >= ms(400));
+    // In sight before its bound ends, as if it had teleported.
+    for number in 200..202 {
+        length(-5.0, number);
+    }
+    assert_eq!(length(40.0, 202), ms(50));
+}
+
+/// A wall that whoever is displayed brings nearer: to two metres behind them.
+struct Growing {
+    wall: Wall,
+    places: BTreeMap<u32, f64>,
+    drawn: Vec<u32>,
+}
+
+impl Image for Growing {
+    fn occlusion(&self) -> &dyn Occlusion {
+        &self.wall
+    }
+
+    fn draw(&mut self, object: u32) -> bool {
+        self.drawn.push(object);
+        self.wall.0 = self.wall.0.min(self.places[&object] + 2.0);
+        true
+    }
+}
+
+#[test]
+fn the_nearest_is_displayed_first_and_hides_who_is_behind() {
+    for variant in [Variant::Explicit, Variant::Implicit, Variant::EveryObject] {
+        let mut tracker = tracker(variant, Validity::Fixed(Duration::from_secs(1)));
+        // The nearest has the last id.
+        let mut line = Line { places: (0..6).map(|id| (id, -5.0 * f64::from(id))).collect(), ..Line::default() };
+        (0..6).for_each(|object| tracker.insert(object));
+        for number in 0..4 {
+            let mut image = Growing { wall: Wall(9.0), places: line.places.clone(), drawn: Vec::new() };
+            line.now = WorldTime::ZERO + FRAME * number;
+            let input = FrameInput { now: line.now, eye: DVec3::NEG_X * 100.0, eye_moves: false };
+            tracker.frame(input, &mut line, &mut image);
+            tracker.check();
+            assert_eq!(image.drawn, [5], "{variant:?}, frame {number}");
+        }
+    }
+}
+
+/// From x = 5 towards −X, 5 m/s.
+struct Rail;
+
+impl Trajectory for Rail {
+    fn position(&self, at: WorldTime) -> DVec3 {
+        DVec3::X * (5.0 - 5.0 * at.seconds())
+    }
+
+    fn speed_max(&self) -> f64 {
+        5.0
+    }
+}
+
+/// Object 0 stands; object 1 is on the rail.
+struct OnRail(Line);
+
+impl Agents for OnRail {
+    fn configuration(&mut self, object: u32) -> Bound {
+        self.0.configuration(object)
+    }
+
+    fn temporal_bound(&mut self, object: u32, expires: WorldTime) -> TemporalBound {
+        let bound = self.0.temporal_bound(object, expires);
+        let limits = MotionLimits { speed_max: 5.0, acceleration_max: 0.0, axis_speed_max: DVec3::ZERO, reach: REACH };
+        let state = MotionState { position: DVec3::ZERO, velocity: DVec3::ZERO };
+        let path: Option<crate::tracking::Path> = Some(Arc::new(Rail));
+        TemporalBound::new(TbvShape::Swept { pieces: 8 }, state, limits, path, bound.issued(), expires)
+    }
+}
+
+#[test]
+fn a_swept_bound_is_exposed_by_any_piece_past_what_was_displayed() {
+    let mut tracker = tracker(Variant::Explicit, Validity::Fixed(Duration::from_secs(2)));
+    let places = BTreeMap::from([(0, -6.0), (1, 5.0)]);
+    let mut agents = OnRail(Line { places, ..Line::default() });
+    (0..2).for_each(|object| tracker.insert(object));
+    let exposed = [0, 1].map(|number| {
+        agents.0.now = WorldTime::ZERO + FRAME * number;
+        agents.0.places.insert(1, Rail.position(agents.0.now).x);
+        let mut image = Growing { wall: Wall(0.0), places: agents.0.places.clone(), drawn: Vec::new() };
+        let input = FrameInput { now: agents.0.now, eye: DVec3::NEG_X * 100.0, eye_moves: false };
+        let stats = tracker.frame(input, &mut agents, &mut image);
+        tracker.check();
+        assert_eq!(image.drawn, [0]);
+        stats.exposed
+    });
+    // Its path ends at −5, in front of the wall that object 0 has brought to −4; the object is behind it.
+    assert_eq!(exposed, [0, 1]);
 }

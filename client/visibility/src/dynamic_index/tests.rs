@@ -17,6 +17,8 @@ impl DynamicOctree {
             for (slot, entry) in node.bounds.iter().enumerate() {
                 assert_eq!(self.places[&entry.key], Place { node: at, slot });
                 assert!(at == ROOT || node.suits(&entry.aabb), "a bound lives where it fits");
+                let loose = Aabb::around(node.centre, DVec3::splat(node.half * LOOSENESS));
+                assert!(at == ROOT || loose.contains_box(&entry.aabb), "a node is no larger than it may be");
                 let child = node.child(node.octant(entry.aabb.centre()), at);
                 let smaller = child.suits(&entry.aabb) && child.half >= self.half_min;
                 assert!(!smaller, "a bound lives in the smallest node");
@@ -72,6 +74,11 @@ fn bound() -> impl Strategy<Value = Bound> {
         (point(), size()).prop_map(|(centre, radius)| Bound::Sphere { centre, radius }),
         (point(), size(), size(), size())
             .prop_map(|(centre, x, y, z)| Bound::Box(Aabb::around(centre, DVec3::new(x, y, z)))),
+        (point(), size(), size()).prop_map(|(centre, radius, half_height)| Bound::Upright {
+            centre,
+            radius,
+            half_height
+        }),
         Just(Bound::Everywhere),
     ]
 }
@@ -183,8 +190,9 @@ fn step_to_a_neighbour_leaves_the_rest_alone() {
         octree.insert(5_000, Bound::Sphere { centre, radius: 1.0 });
     }
     octree.assert_well_formed();
-    // Steps of a third of a radius seldom leave the node: five or so a step, of eleven levels.
-    assert!((1_000..8_000).contains(&(octree.update_visits() - visits)), "{}", octree.update_visits() - visits);
+    // Steps of a third of a radius seldom leave the node, but change how far it reaches, and so those above it, more often
+    // than their boxes: fifteen or so a step, up and down eleven levels.
+    assert!((1_000..16_000).contains(&(octree.update_visits() - visits)), "{}", octree.update_visits() - visits);
     octree.remove(5_000);
     octree.assert_well_formed();
     assert_eq!(octree.node_count(), nodes);
@@ -221,5 +229,33 @@ fn a_ball_around_a_box_far_from_the_origin_holds_its_corners() {
             let farthest = aabb.corners().iter().map(|corner| corner.distance(point)).fold(0.0, f64::max);
             assert!(reach >= farthest && reach < farthest * 1.001, "{aabb:?}: {reach} for {farthest}");
         }
+    }
+}
+
+#[test]
+fn a_ball_shrinks_with_what_reached_farthest_into_it_from_inside_the_box() {
+    let mut octree = DynamicOctree::new(Aabb::around(DVec3::ZERO, DVec3::splat(64.0)));
+    // Three rods that the box is due to, and a cube whose corners reach past their ends.
+    for (key, half) in [(0, DVec3::X), (1, DVec3::Y), (2, DVec3::Z)] {
+        octree.insert(key, Bound::Box(Aabb::around(DVec3::splat(0.3), half * 3.0 + 0.1)));
+    }
+    octree.insert(3, Bound::Box(Aabb::around(DVec3::splat(0.3), DVec3::splat(2.5))));
+    assert!((0..4).all(|key| octree.places[&key].node == octree.places[&0].node), "all in one node");
+    octree.assert_well_formed();
+    octree.remove(3);
+    octree.assert_well_formed();
+}
+
+#[test]
+fn a_ball_holds_every_kind_of_bound() {
+    let point = DVec3::new(0.5, -1.0, 2.0);
+    let centre = DVec3::new(4.0, 3.0, 2.0);
+    for (bound, reach) in [
+        (Bound::Sphere { centre, radius: 2.0 }, centre.distance(point) + 2.0),
+        (Bound::Upright { centre, radius: 3.0, half_height: 4.0 }, centre.distance(point) + 5.0),
+        (Bound::Box(Aabb::around(centre, DVec3::ONE)), (centre + 1.0 - point).abs().max(point - centre + 1.0).length()),
+    ] {
+        let found = reach_from(point, &bound);
+        assert!((reach..reach * 1.000_001).contains(&found), "{bound:?}: {found}, not {reach}");
     }
 }
