@@ -239,8 +239,8 @@ fn centres_along(
     let per_step = 1.0 / slope;
     // By how much the place where the line meets a centre's row may be off.
     let around = REACH * per_step.abs() + REACH;
-    if !(around < 0.5) {
-        // It hardly rises.
+    let rises = around < 0.5;
+    if !rises {
         return (lowest..=highest).all(|centre| {
             let meets = from[major] + (f64::from(centre) - from[1 - major]) * per_step;
             // Also where a level line makes this infinite or NaN.
