@@ -195,8 +195,8 @@ impl MaskedDepth {
     }
 
     /// Whether a sealed face hides what is beyond it, at the pixel centres of this view: `raster_sampled/seal.rs` has the
-    /// argument. It needs [`Coverage::Sampled`], and that the primitives of the face's cell have been drawn, each as it is:
-    /// merged polygons snap to other places along their edges.
+    /// argument, which is about an [`crate::ItemBuffer`] of the view. It needs [`Coverage::Sampled`], and that nothing was drawn
+    /// here that would not be drawn there.
     pub fn believes(&self, seal: &SealedFace<'_>) -> bool {
         let Some(projector) = &self.projector else { return !self.blind };
         let depth_at = |x: usize, y: usize| self.tiles.depth_at(x as u32, y as u32);

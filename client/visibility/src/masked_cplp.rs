@@ -4,8 +4,8 @@
 //! It is cPLP (Klosowski & Silva 2001, §3) with three differences, since here a query costs less than a triangle:
 //! - the **front holds faces**, not cells, and gives out the nearest first. A face is a smaller box than its cell, and only
 //!   faces that look away from the eye are passed, since along a segment from the eye each coordinate runs one way. So a
-//!   cell is not reached backwards, and a wall that lies in a face hides it (see [`Walk::pushed`]), which is what sealed
-//!   faces are for (DESIGN.md §4, condition (f));
+//!   cell is not reached backwards, and a wall that lies in a face hides it (see [`Walk::pushed`]). **Sealed faces** (DESIGN.md §4,
+//!   condition (f)) that the image believes are not asked about: that takes a few pixels along their borders;
 //! - **not everything seen is drawn**: only facets that look large enough to hide something. What is seen is decided by
 //!   queries alone, so leaving out an occluder is never wrong;
 //! - what a seen cell holds is **asked about once more at the end**, object by object and cluster by cluster, when all
@@ -17,6 +17,9 @@
 //! segment form a chain over shared faces (see [`crate::Cplp`]), each crossed in the direction away from the eye. The point where
 //! it is crossed is no farther than q, and the image holds no more than a part of what hides things in the plain Z-buffer, at
 //! depths that are never nearer; so the face is seen, and so are the box of q's cluster and that of its object.
+//! Where the chain comes to a seal that is believed, q is within the skin of the seal (`raster_sampled/seal.rs`), so that the
+//! cell before it lists q's cluster, and the rest of the chain is not needed. That argument is about the plain Z-buffer, in
+//! which all triangles are drawn as they are; of this image it takes only depths, which are never nearer than there.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -299,6 +302,14 @@ impl Walk<'_> {
         for (way, neighbour) in (0..).zip(self.cells.neighbours(cell)) {
             let leads_away = neighbour.face.height(aabb, self.eye) <= 0.0;
             if leads_away && self.scratch.cells[neighbour.cell as usize] != self.scratch.frame {
+                // Asked now that the cell's own walls are drawn: what is believed need not be asked about later.
+                if let Some(seal) = self.cells.seal(cell, neighbour) {
+                    let believed = self.scratch.image.believes(&seal);
+                    *if believed { &mut self.done.sealed } else { &mut self.done.doubted } += 1;
+                    if believed {
+                        continue;
+                    }
+                }
                 let rectangle = self.cells.shared(cell, neighbour);
                 self.push(&rectangle, cell, way);
             }
