@@ -1,6 +1,6 @@
 //! How do trackers fare, without a network? The library part of `eyeline-sim track`.
 //!
-//! [`world`] makes a building with things that move in it by [`mover`]; [`run`] tracks them in several ways, frame by frame
+//! [`world`] makes a building with things that move in it by [`mover`]; [`mod@run`] tracks them in several ways, frame by frame
 //! side by side, and holds the pictures against the truth; [`sweep`] knows the paper's experiments and [`report`] puts what
 //! came of them beside what the paper says, with the columns of [`row`]. [`lca`] and [`lca_sweep`] are its
 //! §6.1.1: updates of an octree alone. [`tables`] are those of Coorg & Teller, where nothing moves but the [`observer`].

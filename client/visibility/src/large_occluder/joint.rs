@@ -10,7 +10,7 @@
 //! 2. no direction into the box meets this piece of it: all of the piece is beyond an edge of the box's silhouette. The paper's figure
 //!    5-(b), a silhouette that is not convex, need not be given up;
 //! 3. a polygon of the set continues on its other side: a partner, on exactly that stretch. A picture draws welded edges
-//!    without a gap; at a T-junction it may leave a crack, which is looked for in this picture ([`crack_is_open`]);
+//!    without a gap; at a T-junction it may leave a crack, which is looked for in this picture (`crack_is_open`);
 //! 4. another polygon of the set is seen all along it, as where walls run into each other: the piece is on the inner side of
 //!    each edge of that polygon that does not have the whole box on its inner side anyway.
 //!

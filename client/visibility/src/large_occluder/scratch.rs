@@ -1,4 +1,4 @@
-//! What one worker keeps of a [`LargeOccluder`]'s frames: relations, the last visible set, and the occlusion that it stands for.
+//! What one worker keeps of a [`super::LargeOccluder`]'s frames: relations, the last visible set, and the occlusion that it stands for.
 
 use std::sync::Arc;
 
