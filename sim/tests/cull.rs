@@ -190,7 +190,10 @@ fn what_cannot_be_run_is_said_with_the_remedy() {
     std::fs::write(folder.path().join("bad.glb"), "no model").unwrap();
     let (json, glb, missing) = (at("bad.json"), at("bad.glb"), at("missing.glb"));
     for (arguments, parts) in [
-        (vec!["--cullers", "cplp,magic"], vec!["no culler `magic`", "zbuffer, frustum-backface, frustum, large-occluder, masked, cplp"]),
+        (
+            vec!["--cullers", "cplp,magic"],
+            vec!["no culler `magic`", "zbuffer, frustum-backface, frustum, large-occluder, masked, cplp"],
+        ),
         (vec!["--tessellation", "bsp"], vec!["no tessellation `bsp`", "octree"]),
         (vec!["--query", "gpu"], vec!["no query `gpu`", "sampled"]),
         (vec!["--world", "castle"], vec!["`castle`", "building, office, tower, rooms"]),
