@@ -122,7 +122,7 @@ pub struct RunRules {
     pub frame_time: Duration,
     /// Size of the images.
     pub resolution: Resolution,
-    /// Compare every so manieth frame with the truth; 0 for never.
+    /// One frame of so many is compared with the truth; 0 for none.
     pub truth_every: u64,
     /// Decides which bounds are broken.
     pub seed: u64,
