@@ -10,7 +10,7 @@ use eyeline_protocol::{
 use eyeline_visibility::{DynamicIndex, Occlusion};
 
 use crate::clock::{Clock, DRIFT};
-use crate::tracking::{Sabotage, Tracker, TrackerConfig};
+use crate::tracking::{Ahead, Sabotage, Tracker, TrackerConfig};
 
 /// Settings of a [`Session`].
 #[derive(Clone, Debug)]
@@ -260,7 +260,7 @@ impl Session {
                 self.clock.freeze(now);
             }
         }
-        tracker.handle_path(self.link.round_trip_max(), self.link.timeout());
+        tracker.handle_path(self.link.round_trip_max(), self.link.timeout(), now);
         self.stats.records_in += records.len() as u64;
         for record in records {
             match record {
@@ -308,12 +308,25 @@ impl Session {
         self.control.push_back(codec::encode_control(&ClientControl::Goodbye));
     }
 
-    /// One frame: decides what is asked. `None` until the server's time is known.
-    pub fn frame(&mut self, occlusion: &dyn Occlusion, now: LocalTime) -> Option<FrameTime> {
+    /// What the next frame must look ahead for: cull from every eye within its radius, then hand both to [`Session::frame`].
+    pub fn ahead(&self) -> Ahead {
+        let tracker = &self.config.tracker;
+        let Some(avatar) = self.welcome.as_ref().filter(|welcome| welcome.tracking).and_then(|w| w.classes.first()) else {
+            return Ahead::default();
+        };
+        // The greatest lately is not the greatest there may be; how far round trips stray is (RFC 6298's four variations).
+        let round_trip = self.link.round_trip().zip(self.link.round_trip_max());
+        let round_trip = round_trip.map(|(usual, greatest)| greatest + 4 * usual.variation);
+        tracker.lead.ahead(round_trip, tracker.frame, avatar.motion)
+    }
+
+    /// One frame: decides what is asked, given what hides things from every eye that `ahead` tells of. `None` until the
+    /// server's time is known.
+    pub fn frame(&mut self, ahead: Ahead, occlusion: &dyn Occlusion, now: LocalTime) -> Option<FrameTime> {
         let latest = self.clock.latest(now)?;
         let shown = self.clock.smoothed(now)?.max(self.shown);
         self.shown = shown;
-        self.tracker.as_mut()?.frame(latest, occlusion, now);
+        self.tracker.as_mut()?.frame(latest, ahead, occlusion, now);
         Some(FrameTime { latest, shown })
     }
 

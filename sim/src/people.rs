@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use eyeline_client::net::{Driver, FrameReport, Pose};
 use eyeline_client::session::Session;
+use eyeline_client::tracking::Ahead;
 use eyeline_protocol::{LocalTime, ObjectId, Orientation, Position};
 use eyeline_server::spec::AvatarSpec;
 use eyeline_visibility::{AllRound, AllRoundScratch, EyeRegion, Occlusion};
@@ -140,9 +141,9 @@ impl Driver for Person {
         self.advance(session, now).into_iter().collect()
     }
 
-    fn cull(&mut self) {
-        let region = EyeRegion::point(self.pose.eye - self.anchor);
-        // Only a region with a radius can be refused.
+    fn cull(&mut self, ahead: Ahead) {
+        let region = EyeRegion { centre: self.pose.eye - self.anchor, radius: ahead.eye_radius };
+        // Only an eye or radius that is no number is refused.
         self.has_culled = self.all_round.cull(region, &mut self.scratch).is_ok();
     }
 
@@ -235,7 +236,7 @@ impl Driver for Replay {
         self.advance(&avatars, now)
     }
 
-    fn cull(&mut self) {}
+    fn cull(&mut self, _: Ahead) {}
 
     fn occlusion(&self) -> Option<&dyn Occlusion> {
         None

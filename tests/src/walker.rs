@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use eyeline_client::session::{FrameTime, Session};
+use eyeline_client::tracking::Ahead;
 use eyeline_protocol::{ObjectId, Orientation, Position, WorldTime};
 use eyeline_sim::virtual_net::{ClientDriver, Pose};
 use eyeline_visibility::Occlusion;
@@ -103,7 +104,7 @@ impl ClientDriver for Walker {
         poses.extend(avatars.iter().map(|&(avatar, ..)| pose(avatar, place)));
     }
 
-    fn cull(&mut self) {
+    fn cull(&mut self, _: Ahead) {
         self.occlusion = WallsFrom::new(self.walk.walls.clone(), self.eye);
     }
 
@@ -149,7 +150,7 @@ impl ClientDriver for Standing {
         poses.extend(avatars.iter().map(|&(avatar, ..)| pose(avatar, place)));
     }
 
-    fn cull(&mut self) {
+    fn cull(&mut self, _: Ahead) {
         self.occlusion = WallsFrom::new(self.walls.clone(), self.eye);
     }
 

@@ -8,6 +8,7 @@ use eyeline_visibility::Occlusion;
 
 use super::{Arrival, Connection, NetError};
 use crate::session::{FrameTime, Session};
+use crate::tracking::Ahead;
 
 /// Where an avatar is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,8 +43,8 @@ pub trait Driver {
     /// Moves on to `now` and says where the avatars are.
     fn poses(&mut self, session: &Session, now: LocalTime) -> Vec<Pose>;
 
-    /// Culls from the present eye. Called once a frame, after [`Driver::poses`].
-    fn cull(&mut self);
+    /// Culls from every eye that the present one can reach within the lead. Called once a frame, after [`Driver::poses`].
+    fn cull(&mut self, ahead: Ahead);
 
     /// What hides things, as of the newest [`Driver::cull`]; `None` if the client looks at nothing.
     fn occlusion(&self) -> Option<&dyn Occlusion>;
@@ -99,10 +100,11 @@ pub async fn run_headless(
                     connection.session.set_pose(pose.object, pose.position, pose.orientation);
                 }
                 let started = Instant::now();
-                driver.cull();
+                let ahead = connection.session.ahead();
+                driver.cull(ahead);
                 let cull = started.elapsed();
                 let started = Instant::now();
-                let time = driver.occlusion().and_then(|occlusion| connection.session.frame(occlusion, now));
+                let time = driver.occlusion().and_then(|occlusion| connection.session.frame(ahead, occlusion, now));
                 let report = FrameReport { frame: summary.frames, began: now, time, cull, track: started.elapsed(), late };
                 driver.frame_done(&mut connection.session, &report);
                 connection.flush().await?;

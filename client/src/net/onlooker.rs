@@ -9,6 +9,7 @@ use glam::DVec3;
 
 use super::{Driver, FrameReport, Pose};
 use crate::session::Session;
+use crate::tracking::Ahead;
 
 /// Turn of an onlooker: once around in twelve seconds.
 const TURN_RATE: f64 = TAU / 12.0;
@@ -23,7 +24,8 @@ pub struct Onlooker<'a> {
     eye: DVec3,
     all_round: Arc<AllRound>,
     scratch: AllRoundScratch,
-    has_culled: bool,
+    /// Radius of the region that was culled from.
+    culled: Option<f64>,
     on_frame: OnFrame<'a>,
 }
 
@@ -41,7 +43,7 @@ impl<'a> Onlooker<'a> {
             eye: position.metres() + DVec3::Y * eye_height,
             scratch: all_round.scratch(side),
             all_round,
-            has_culled: false,
+            culled: None,
             on_frame,
         })
     }
@@ -53,15 +55,16 @@ impl Driver for Onlooker<'_> {
         vec![Pose { object: self.object, position: self.position, orientation: Orientation::from_yaw(yaw) }]
     }
 
-    fn cull(&mut self) {
-        // Only a region with a radius can be refused; and who never moves need not look twice.
-        if !self.has_culled {
-            self.has_culled = self.all_round.cull(EyeRegion::point(self.eye), &mut self.scratch).is_ok();
+    fn cull(&mut self, ahead: Ahead) {
+        // Who never moves need not look twice.
+        if self.culled != Some(ahead.eye_radius) {
+            let region = EyeRegion { centre: self.eye, radius: ahead.eye_radius };
+            self.culled = self.all_round.cull(region, &mut self.scratch).is_ok().then_some(ahead.eye_radius);
         }
     }
 
     fn occlusion(&self) -> Option<&dyn Occlusion> {
-        self.has_culled.then(|| self.scratch.occlusion() as &dyn Occlusion)
+        self.culled.map(|_| self.scratch.occlusion() as &dyn Occlusion)
     }
 
     fn frame_done(&mut self, session: &mut Session, report: &FrameReport) {

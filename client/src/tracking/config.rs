@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use super::Lead;
+
 /// Who chooses validity periods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Growth {
@@ -51,6 +53,8 @@ pub struct TrackerConfig {
     /// Whether an exposed bound is first made fresh before a state is asked for, when both round trips fit in one
     /// frame; default true. It costs a round trip and tells less about what is hidden.
     pub staged: bool,
+    /// How far ahead visibility is asked about; default not at all. Longer costs culling and messages.
+    pub lead: Lead,
     /// Deliberate damage; default none.
     pub sabotage: Option<Sabotage>,
 }
@@ -63,6 +67,7 @@ impl Default for TrackerConfig {
             stage_frames_max: 128,
             linger_frames: 2,
             staged: true,
+            lead: Lead::None,
             sabotage: None,
         }
     }
@@ -87,6 +92,11 @@ impl TrackerConfig {
     /// Sets whether exposed bounds are first made fresh.
     pub fn with_staged(self, staged: bool) -> TrackerConfig {
         TrackerConfig { staged, ..self }
+    }
+
+    /// Sets how far ahead visibility is asked about.
+    pub fn with_lead(self, lead: Lead) -> TrackerConfig {
+        TrackerConfig { lead, ..self }
     }
 
     /// Damages the tracker.

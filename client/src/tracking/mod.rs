@@ -11,6 +11,7 @@
 mod config;
 mod expiry;
 mod fuzzy;
+mod lead;
 mod scene_tracker;
 mod shape;
 mod stats;
@@ -20,8 +21,9 @@ mod validity;
 pub use config::{Growth, Sabotage, TrackerConfig};
 pub use expiry::ExpiryQueue;
 pub use fuzzy::{FuzzyError, FuzzySpeeds, broken};
+pub use lead::{Ahead, LEAD_MAX, Lead};
 pub use scene_tracker::{Agents, FrameInput, FrameStats, Image, SceneTracker, Variant};
 pub use shape::{MotionLimits, MotionState, PIECES_MAX, Path, TbvShape, TemporalBound, Trajectory};
 pub use stats::TrackerStats;
-pub use tracker::{Drawn, Tracker};
+pub use tracker::{Drawn, STALENESS_MAX, Tracker};
 pub use validity::{Period, Validity};

@@ -9,7 +9,7 @@ use eyeline_protocol::{
 use eyeline_visibility::{Bound, DynamicIndex, Occlusion};
 use glam::DVec3;
 
-use super::{ExpiryQueue, Growth, Sabotage, TrackerConfig, TrackerStats};
+use super::{Ahead, ExpiryQueue, Growth, Sabotage, TrackerConfig, TrackerStats};
 
 /// Something that the client shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,6 +52,8 @@ struct Ask {
     not_before: Option<u64>,
     /// Whether it waits in the queue of what is to be said.
     is_unsaid: bool,
+    /// Frame in which it was asked first.
+    since: u64,
     /// Tells this question from an earlier one about the same object.
     number: u64,
     /// Whether the server is known to have got it.
@@ -78,6 +80,8 @@ struct Entry {
     released_at: Option<LocalTime>,
     /// Whether a bound is awaited in answer to a release.
     releasing: bool,
+    /// After which frame its bound was made fresh last.
+    freshened_in: Option<u64>,
 }
 
 /// What was heard last of an object's breaking its bounds.
@@ -87,6 +91,10 @@ struct Violated {
     at: WorldTime,
     present: bool,
 }
+
+/// What is shown must have been true within this time (DESIGN §5; a bound that holds is never stale). From a server that is silent for longer
+/// nothing is shown, and nothing that was asked for in vain for longer.
+pub const STALENESS_MAX: Duration = Duration::from_secs(5);
 
 /// Most objects whose states are kept although no roster has named them yet.
 const EARLY_MAX: usize = 65_536;
@@ -122,6 +130,14 @@ pub struct Tracker {
     expired: Vec<ObjectId>,
     /// Latest possible server time at the newest frame.
     latest: WorldTime,
+    /// Until when what is held hidden must be: that and the lead.
+    horizon: WorldTime,
+    /// The newest frame's lead.
+    ahead: Ahead,
+    /// When the server was heard of last.
+    heard_at: Option<LocalTime>,
+    /// Whether that is too long ago for anything to be shown.
+    is_cut_off: bool,
     /// Greatest round trip lately, for the decision whether two fit in a frame and for what silence means.
     round_trip: Option<Duration>,
     timeout: Duration,
@@ -155,6 +171,10 @@ impl Tracker {
             exposed: Vec::new(),
             expired: Vec::new(),
             latest: WorldTime::MIN,
+            horizon: WorldTime::MIN,
+            ahead: Ahead::default(),
+            heard_at: None,
+            is_cut_off: false,
             round_trip: None,
             timeout: Duration::from_secs(1),
             stats: TrackerStats::default(),
@@ -179,10 +199,11 @@ impl Tracker {
         self.debug_check();
     }
 
-    /// What the path is like: its greatest round trip lately, if known, and when to ask again.
-    pub fn handle_path(&mut self, round_trip: Option<Duration>, timeout: Duration) {
+    /// A datagram came at `now`. What the path is like: its greatest round trip lately, if known, and when to ask again.
+    pub fn handle_path(&mut self, round_trip: Option<Duration>, timeout: Duration, now: LocalTime) {
         self.round_trip = round_trip;
         self.timeout = timeout;
+        self.heard_at = Some(now);
     }
 
     /// An object exists. `tick` is the time that its bound speaks of. An unknown class is ignored: a peer's mistake.
@@ -214,6 +235,7 @@ impl Tracker {
             hidden_frames: 0,
             released_at: None,
             releasing: false,
+            freshened_in: None,
         };
         self.entries.insert(entry.object, fresh);
         if early.is_some() {
@@ -352,7 +374,9 @@ impl Tracker {
             self.stats.stale += 1;
             return;
         };
-        let awaited = entry.releasing || entry.ask.is_some_and(|ask| ask.want == Want::Bound);
+        // A server that checks may answer a question for the place with a bound: it is not for us to know.
+        let is_withheld = entry.ask.is_some_and(|ask| ask.want != Want::Bound && ask.heard);
+        let awaited = entry.releasing || is_withheld || entry.ask.is_some_and(|ask| ask.want == Want::Bound);
         let is_void =
             tbv.issue < entry.issue || tbv.issued < entry.valid_from || matches!(entry.belief, Belief::Absent);
         let is_older = matches!(entry.belief, Belief::Hidden(held) if held.issued > tbv.issued);
@@ -373,8 +397,10 @@ impl Tracker {
             entry.releasing = false;
             self.visible.remove(&object);
         }
+        entry.freshened_in = Some(self.stats.frames);
         self.hold(object, tbv);
-        if let Some(occlusion) = occlusion {
+        // What was withheld is looked at again with the next frame: at once would be to ask as fast as the path answers.
+        if let Some(occlusion) = occlusion.filter(|_| !is_withheld) {
             self.settle(object, occlusion);
         }
         self.debug_check();
@@ -437,11 +463,14 @@ impl Tracker {
         }
     }
 
-    /// One frame of §3.3: `latest` is the latest time that the server may have, `occlusion` what hides things from the
-    /// eye region of this frame.
-    pub fn frame(&mut self, latest: WorldTime, occlusion: &dyn Occlusion, now: LocalTime) {
+    /// One frame of §3.3: `latest` is the latest time that the server may have, `ahead` the lead, and `occlusion` what hides
+    /// things from every eye within the lead's radius.
+    pub fn frame(&mut self, latest: WorldTime, ahead: Ahead, occlusion: &dyn Occlusion, now: LocalTime) {
         self.stats.frames += 1;
         self.latest = self.latest.max(latest);
+        self.ahead = ahead;
+        self.horizon = self.horizon.max(self.latest + ahead.time);
+        self.is_cut_off = self.heard_at.is_some_and(|at| now.since(at) > STALENESS_MAX);
         self.ask_again(now);
         if !self.tracking {
             // Every object every frame: the baseline without bounds. What is hidden is known all the same.
@@ -449,7 +478,7 @@ impl Tracker {
             return;
         }
         // Step 1: stages and bounds whose time is up, as Q tells.
-        while let Some(due) = self.queue.next_due().filter(|&due| due <= self.latest) {
+        while let Some(due) = self.queue.next_due().filter(|&due| due <= self.horizon) {
             let mut expired = self.take_due(due);
             for object in expired.drain(..) {
                 if let Some(entry) = self.entries.get_mut(&object) {
@@ -496,6 +525,7 @@ impl Tracker {
     fn test_visible(&mut self, occlusion: &dyn Occlusion, now: LocalTime) {
         // A change would have been pushed: what was not heard of for longer than this has not moved.
         let silence = self.config.frame.as_secs_f64() * 2.0 + self.round_trip.unwrap_or_default().as_secs_f64();
+        let ahead = self.ahead.time.as_secs_f64();
         self.stats.work += self.visible.len() as u64;
         for object in &self.visible {
             let Some(entry) = self.entries.get_mut(object) else { continue };
@@ -503,7 +533,7 @@ impl Tracker {
             let class = &self.classes[entry.class];
             // Where updates were declined, silence says nothing about the time since.
             let declined = entry.released_at.filter(|_| entry.releasing).map_or(0.0, |at| now.since(at).as_secs_f64());
-            let age = self.latest.seconds_since(state.tick).clamp(0.0, silence + declined);
+            let age = self.latest.seconds_since(state.tick).clamp(0.0, silence + declined) + ahead;
             let bound = extent_bound(class, state.position.metres(), class.motion.reach(age));
             entry.hidden_frames = if occlusion.hides(&bound) { entry.hidden_frames + 1 } else { 0 };
         }
@@ -557,7 +587,7 @@ impl Tracker {
     /// Whether what `tbv` bounds is out of sight, and will be for the time that a round of questions takes.
     fn is_hidden_for_now(&mut self, object: ObjectId, tbv: &Tbv, occlusion: &dyn Occlusion) -> bool {
         let Some(entry) = self.entries.get(&object) else { return false };
-        let soon = self.latest.offset_micros(self.config.frame.as_micros() as i64);
+        let soon = self.horizon.offset_micros(self.config.frame.as_micros() as i64);
         let bound = extent_bound(&self.classes[entry.class], tbv.centre.metres(), tbv.radius_at(soon));
         self.stats.work += 1;
         occlusion.hides(&bound)
@@ -607,7 +637,7 @@ impl Tracker {
         if entry.ask.is_some() {
             return;
         }
-        let latest = self.latest;
+        let horizon = self.horizon;
         let class = &self.classes[entry.class];
         let frame_micros = self.config.frame.as_micros() as i64;
         let bound_at = |time: WorldTime| extent_bound(class, tbv.centre.metres(), tbv.radius_at(time));
@@ -615,7 +645,7 @@ impl Tracker {
             Growth::AtClient => tbv.expires,
             Growth::FixedPeriod(period) => tbv.expires.min(tbv.issued + period),
         };
-        if latest >= fixed_expiry {
+        if horizon >= fixed_expiry {
             self.stats.expired += 1;
             let want = if self.is_staged() { Want::Bound } else { Want::State };
             return self.ask(object, want, Reason::Expired);
@@ -628,23 +658,23 @@ impl Tracker {
         if let Growth::FixedPeriod(_) = self.config.growth {
             // The paper's way: the bound for the whole period is hidden, or it is exposed.
             let grown = bound_at(fixed_expiry);
-            if hidden(grown) || hidden(bound_at(latest)) {
+            if hidden(grown) || hidden(bound_at(horizon)) {
                 let is_whole = hidden(grown);
-                let bound = if is_whole { grown } else { bound_at(latest.offset_micros(frame_micros)) };
-                let due = if is_whole { fixed_expiry } else { latest.offset_micros(1) };
+                let bound = if is_whole { grown } else { bound_at(horizon.offset_micros(frame_micros)) };
+                let due = if is_whole { fixed_expiry } else { horizon.offset_micros(1) };
                 self.stats.work += tested;
                 return self.keep(object, bound, due);
             }
             self.stats.work += tested;
             return self.expose(object, tbv);
         }
-        if !hidden(bound_at(latest)) {
+        if !hidden(bound_at(horizon)) {
             self.stats.work += tested;
             return self.expose(object, tbv);
         }
         let mut frames = entry.stage_frames;
         loop {
-            let end = latest.offset_micros(frame_micros.saturating_mul(i64::from(frames))).min(fixed_expiry);
+            let end = horizon.offset_micros(frame_micros.saturating_mul(i64::from(frames))).min(fixed_expiry);
             let grown = bound_at(end);
             if hidden(grown) {
                 entry.stage_frames = frames;
@@ -659,8 +689,8 @@ impl Tracker {
         // Hidden now, but perhaps not by the next frame: look again then.
         entry.stage_frames = 1;
         self.stats.work += tested;
-        let bound_now = bound_at(latest);
-        self.keep(object, bound_now, latest.offset_micros(1));
+        let bound_now = bound_at(horizon);
+        self.keep(object, bound_now, horizon.offset_micros(1));
     }
 
     fn keep(&mut self, object: ObjectId, bound: Bound, due: WorldTime) {
@@ -682,18 +712,22 @@ impl Tracker {
         // A fresh bound helps only if it is a good deal tighter than this one has become.
         let entry = &self.entries[&object];
         let fresh = self.blur + self.classes[entry.class].motion.slack;
-        // One that does not grow would come back the same, again and again.
-        let gains = tbv.speed > 0.0 && tbv.radius_at(self.latest) > 1.25 * fresh + 0.05;
+        // One that does not grow would come back the same, again and again; so may one that has just been asked for.
+        let is_new = entry.freshened_in == Some(self.stats.frames);
+        let gains = !is_new && tbv.speed > 0.0 && tbv.radius_at(self.latest) > 1.25 * fresh + 0.05;
         // A place comes as soon as a state would, so that it is never later; updates follow if it is in sight.
         let want = if self.is_staged() && gains { Want::Bound } else { Want::Place };
         self.ask(object, want, Reason::Exposed);
     }
 
-    /// Whether to ask for a bound before a state: only if both round trips fit in one frame, so that the promise's
-    /// bound on lateness holds.
+    /// Whether to ask for a bound before a state: only if both round trips fit in one frame, or in the lead, so that the
+    /// promise's bound on lateness holds.
     fn is_staged(&self) -> bool {
-        // A quarter of the frame each, since the next may be slower still and the answer needs time at both ends.
-        self.config.staged && self.round_trip.is_some_and(|round_trip| round_trip * 4 < self.config.frame)
+        let fits = |round_trip: Duration| {
+            // A quarter of the frame each, since the next may be slower still and the answer needs time at both ends.
+            round_trip * 4 < self.config.frame || round_trip * 2 + self.config.frame <= self.ahead.time
+        };
+        self.config.staged && self.round_trip.is_some_and(fits)
     }
 
     fn ask(&mut self, object: ObjectId, want: Want, reason: Reason) {
@@ -703,8 +737,9 @@ impl Tracker {
             let not_before = late.then_some(self.stats.frames + 1);
             self.asks += 1;
             let is_unsaid = !late;
+            let since = self.stats.frames;
             entry.ask =
-                Some(Ask { want, reason, sent_at: None, not_before, is_unsaid, number: self.asks, heard: false });
+                Some(Ask { want, reason, sent_at: None, not_before, is_unsaid, since, number: self.asks, heard: false });
             self.asked.insert(object);
             if is_unsaid {
                 self.unsaid.push_back(object);
@@ -766,11 +801,17 @@ impl Tracker {
         }
     }
 
+    /// Whether an object's place has been asked for in vain for so long that what is known of it is not to be shown.
+    fn is_stale(&self, entry: &Entry) -> bool {
+        let frames = STALENESS_MAX.as_micros() / self.config.frame.as_micros().max(1);
+        entry.ask.is_some_and(|ask| u128::from(self.stats.frames - ask.since) > frames)
+    }
+
     /// What the client knows the place of, by id: V. The second part says whether it is drawn in the newest frame, that
     /// is, not hidden in it.
     pub fn known(&self) -> impl Iterator<Item = (Drawn, bool)> + '_ {
-        self.visible.iter().filter_map(|&object| {
-            let entry = self.entries.get(&object)?;
+        self.visible.iter().filter(|_| !self.is_cut_off).filter_map(|&object| {
+            let entry = self.entries.get(&object).filter(|entry| !self.is_stale(entry))?;
             let state = entry.state?;
             let drawn = Drawn { object, position: state.position, orientation: state.orientation, tick: state.tick };
             Some((drawn, entry.hidden_frames == 0))

@@ -14,7 +14,7 @@ mod virtual_time;
 use std::time::Duration;
 
 use eyeline_client::session::{Session, SessionConfig};
-use eyeline_client::tracking::{Growth, Sabotage, TrackerConfig};
+use eyeline_client::tracking::{Growth, Lead, Sabotage, TrackerConfig};
 use eyeline_server::world::WorldConfig;
 use eyeline_visibility::Resolution;
 
@@ -66,6 +66,8 @@ pub struct MeasureConfig {
     pub linger_frames: u32,
     /// Whether exposed bounds are first made fresh.
     pub staged: bool,
+    /// How far ahead the trackers ask about visibility.
+    pub lead: Lead,
     /// Deliberate damage to the trackers.
     pub sabotage: Option<Sabotage>,
 }
@@ -87,6 +89,7 @@ impl Default for MeasureConfig {
             growth: Growth::AtClient,
             linger_frames: 2,
             staged: true,
+            lead: Lead::None,
             sabotage: None,
         }
     }
@@ -113,6 +116,7 @@ impl MeasureConfig {
             .with_growth(self.growth)
             .with_linger_frames(self.linger_frames)
             .with_staged(self.staged)
+            .with_lead(self.lead)
             .with_sabotage(self.sabotage)
     }
 

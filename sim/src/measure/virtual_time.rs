@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use eyeline_client::net::Driver;
 use eyeline_client::session::{FrameTime, Session, SessionConfig};
-use eyeline_client::tracking::TrackerStats;
+use eyeline_client::tracking::{Ahead, TrackerStats};
 use eyeline_protocol::{LocalTime, ObjectId, Role, WorldTime};
 use eyeline_server::world::World;
 use eyeline_visibility::{DynamicOctree, Occlusion};
@@ -138,9 +138,9 @@ impl ClientDriver for Watching {
         poses.extend(self.person.advance(session, LocalTime::from_micros(at.micros())));
     }
 
-    fn cull(&mut self) {
+    fn cull(&mut self, ahead: Ahead) {
         let started = Instant::now();
-        self.person.cull();
+        self.person.cull(ahead);
         let mut cost = self.cost.borrow_mut();
         cost.cull = started.elapsed();
         cost.yaw = self.person.pose().yaw;

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use eyeline_client::tracking::{Growth, Sabotage};
+use eyeline_client::tracking::{Growth, Lead, Sabotage};
 use eyeline_server::app::number;
 use eyeline_sim::demo;
 use eyeline_sim::measure::{MeasureConfig, Net};
@@ -106,6 +106,10 @@ pub struct Measure {
     /// Ask for states at once where a fresh bound might do
     #[arg(long)]
     no_staged: bool,
+
+    /// How far ahead clients ask about what they could see: auto, a round trip, its jitter and a frame; none; or milliseconds
+    #[arg(long, value_name = "LEAD", default_value = "none")]
+    lead: Lead,
 
     /// Frames that something must be hidden before updates are declined
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=1000))]
@@ -224,6 +228,7 @@ pub fn run(options: &Measure) -> anyhow::Result<()> {
             .map_or(Growth::AtClient, |millis| Growth::FixedPeriod(Duration::from_secs_f64(millis * 1e-3))),
         linger_frames: options.linger_frames,
         staged: !options.no_staged,
+        lead: options.lead,
         sabotage: options.sabotage,
         ..MeasureConfig::default()
     };

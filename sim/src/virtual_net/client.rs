@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use eyeline_client::session::{Event, FrameTime, Session, SessionConfig};
+use eyeline_client::tracking::Ahead;
 use eyeline_protocol::{LocalTime, ObjectId, WorldTime};
 use eyeline_server::world::SessionId;
 use eyeline_visibility::Occlusion;
@@ -20,8 +21,10 @@ pub trait ClientDriver {
     /// Moves on to true world time `at` and appends where the avatars are now.
     fn poses(&mut self, session: &Session, at: WorldTime, poses: &mut Vec<Pose>);
 
-    /// Culls from the present eye.
-    fn cull(&mut self) {}
+    /// Culls from every eye that the present one can reach within the lead.
+    fn cull(&mut self, ahead: Ahead) {
+        let _ = ahead;
+    }
 
     /// What hides things, as of the newest [`ClientDriver::cull`]; `None` if the client looks at nothing.
     fn occlusion(&self) -> Option<&dyn Occlusion>;

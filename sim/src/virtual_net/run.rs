@@ -270,8 +270,9 @@ impl VirtualRun {
         for pose in &self.poses {
             client.session.set_pose(pose.object, pose.position, pose.orientation);
         }
-        client.driver.cull();
-        let time = client.driver.occlusion().and_then(|occlusion| client.session.frame(occlusion, local));
+        let ahead = client.session.ahead();
+        client.driver.cull(ahead);
+        let time = client.driver.occlusion().and_then(|occlusion| client.session.frame(ahead, occlusion, local));
         let eye = client.driver.eye();
         client.driver.frame_done(&mut client.session, time, now);
         let framed = Framed { client: number, session: &client.session, time, eye, at: now, world: &self.world };
