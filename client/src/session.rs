@@ -318,7 +318,8 @@ impl Session {
         // The greatest lately is not the greatest there may be; how far round trips stray is (RFC 6298's four variations).
         let round_trip = self.link.round_trip().zip(self.link.round_trip_max());
         let round_trip = round_trip.map(|(usual, greatest)| greatest + 4 * usual.variation);
-        tracker.lead.ahead(round_trip, tracker.frame, avatar.motion)
+        let ahead = tracker.lead.ahead(round_trip, tracker.frame, avatar.motion);
+        if tracker.sabotage == Some(Sabotage::PointLead) { Ahead { eye_radius: 0.0, ..ahead } } else { ahead }
     }
 
     /// One frame: decides what is asked, given what hides things from every eye that `ahead` tells of. `None` until the

@@ -22,6 +22,8 @@ pub enum Sabotage {
     LateOneTick,
     /// The clock that bounds grow by stands still.
     FreezeClock,
+    /// Bounds are grown for the lead, but looked at from the eye's own point.
+    PointLead,
 }
 
 impl std::str::FromStr for Sabotage {
@@ -32,7 +34,8 @@ impl std::str::FromStr for Sabotage {
             "drop-exposures" => Ok(Sabotage::DropExposures),
             "late-one-tick" => Ok(Sabotage::LateOneTick),
             "freeze-clock" => Ok(Sabotage::FreezeClock),
-            other => Err(format!("'{other}' is not drop-exposures, late-one-tick or freeze-clock")),
+            "point-lead" => Ok(Sabotage::PointLead),
+            other => Err(format!("'{other}' is not drop-exposures, late-one-tick, freeze-clock or point-lead")),
         }
     }
 }
