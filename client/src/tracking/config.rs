@@ -24,6 +24,8 @@ pub enum Sabotage {
     FreezeClock,
     /// Bounds are grown for the lead, but looked at from the eye's own point.
     PointLead,
+    /// Bounds are grown for the lead, and looked at from nine points of the region instead of the whole: a heuristic.
+    SampledLead,
 }
 
 impl std::str::FromStr for Sabotage {
@@ -35,7 +37,10 @@ impl std::str::FromStr for Sabotage {
             "late-one-tick" => Ok(Sabotage::LateOneTick),
             "freeze-clock" => Ok(Sabotage::FreezeClock),
             "point-lead" => Ok(Sabotage::PointLead),
-            other => Err(format!("'{other}' is not drop-exposures, late-one-tick, freeze-clock or point-lead")),
+            "sampled-lead" => Ok(Sabotage::SampledLead),
+            other => {
+                Err(format!("'{other}' is not drop-exposures, late-one-tick, freeze-clock, point-lead or sampled-lead"))
+            }
         }
     }
 }

@@ -22,6 +22,7 @@ pub use log::{Bursts, ClientLog, Commit, FrameLog, Known, ObjectInfo, RunLog};
 pub use row::{MeasureRow, columns};
 pub use truth::{Truth, judge};
 
+use crate::people::{FrameHook, Person};
 use crate::report::Progress;
 use crate::stage::{Crowd, Stage};
 use crate::virtual_net::LinkRules;
@@ -122,6 +123,12 @@ impl MeasureConfig {
             .with_staged(self.staged)
             .with_lead(self.lead)
             .with_sabotage(self.sabotage)
+    }
+
+    /// The `number`th watching person.
+    fn person(&self, stage: &Stage, number: usize, hook: Option<FrameHook>) -> Person {
+        let person = Person::new(stage, self.seed, number, self.side, hook);
+        if self.sabotage == Some(Sabotage::SampledLead) { person.with_sampled_lead(self.side) } else { person }
     }
 
     fn session(&self, number: usize) -> SessionConfig {

@@ -52,7 +52,7 @@ pub(super) fn run(
     let costs: Vec<_> = (0..config.clients).map(|_| Rc::new(RefCell::new(Cost::default()))).collect();
     let mut numbers = Vec::new();
     for (number, cost) in costs.iter().enumerate() {
-        let person = Person::new(stage, config.seed, number, config.side, None);
+        let person = config.person(stage, number, None);
         let session = config.session(number);
         let phase = config.frame() * number as u32 / config.clients.max(1) as u32;
         let plan = ClientPlan::new(session, *link).with_phase(phase);

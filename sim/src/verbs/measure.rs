@@ -127,7 +127,7 @@ pub struct Measure {
     #[arg(long, value_name = "SHARE", default_value_t = 0.1, value_parser = number(0.0..=1.0, ""))]
     truth_share: f64,
 
-    /// Break the trackers on purpose: drop-exposures, late-one-tick, freeze-clock or point-lead. The report must show misses
+    /// Break the trackers on purpose: drop-exposures, late-one-tick, freeze-clock, point-lead or sampled-lead. The report must show misses
     #[arg(long, value_name = "HOW")]
     sabotage: Option<Sabotage>,
 
