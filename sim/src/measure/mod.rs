@@ -8,8 +8,10 @@ mod log;
 mod quic;
 pub mod report;
 mod row;
+mod sweep;
 mod truth;
 mod virtual_time;
+mod why;
 
 use std::time::Duration;
 
@@ -20,7 +22,9 @@ use eyeline_visibility::Resolution;
 
 pub use log::{Bursts, ClientLog, Commit, FrameLog, Known, ObjectInfo, RunLog};
 pub use row::{MeasureRow, columns};
+pub use sweep::{Sweep, SweepKey};
 pub use truth::{Truth, judge};
+pub use why::why;
 
 use crate::people::{FrameHook, Person};
 use crate::report::Progress;
@@ -166,5 +170,5 @@ pub fn measure(
     let progress = Progress::new(frames as u64, &format!("{policy}: computing the truth"));
     let truth = judge(stage, &log, config, &progress);
     progress.finish();
-    Ok(row::row(&log, &truth, config))
+    Ok(row::row(&log, &truth, config, net))
 }

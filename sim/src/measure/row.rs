@@ -4,8 +4,9 @@ use serde::Serialize;
 
 use eyeline_server::world::AVATAR_CLASS;
 
-use super::{MeasureConfig, RunLog, Truth};
+use super::{MeasureConfig, Net, RunLog, Truth};
 use crate::report::Column;
+use crate::virtual_net::LinkRules;
 
 /// One policy, measured.
 #[derive(Clone, Debug, Serialize)]
@@ -21,6 +22,9 @@ pub struct MeasureRow {
     pub resolution: String,
     pub interest: &'static str,
     pub rtt_ms: f64,
+    pub jitter_ms: f64,
+    pub loss: f64,
+    pub blur: f64,
     pub lead: String,
     pub lead_ms: f64,
     pub avatars: usize,
@@ -92,6 +96,9 @@ pub fn columns() -> Vec<Column> {
         column("resolution", "px", "of the frames, 90° across"),
         column("interest", "", "which directions a client hears of"),
         column("rtt_ms", "ms", "smoothed round trip, mean over frames"),
+        column("jitter_ms", "ms", "jitter of the simulated network, each way"),
+        column("loss", "", "share of datagrams that it loses, each way"),
+        column("blur", "m", "least radius within which a hidden object's place stays uncertain"),
         column("lead", "", "how the lead was chosen: none, auto or fixed"),
         column("lead_ms", "ms", "how far ahead visibility was tested, mean over frames"),
         column("avatars", "", "avatars in the world, watching or not"),
@@ -178,7 +185,11 @@ pub fn columns() -> Vec<Column> {
     ]
 }
 
-pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig) -> MeasureRow {
+pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig, net: &Net) -> MeasureRow {
+    let link = match net {
+        Net::Quic => LinkRules::default(),
+        Net::Sim(link) => *link,
+    };
     let clients = log.clients.len().max(1) as f64;
     let seconds = log.window.as_secs_f64();
     let rate = |count: u64| count as f64 / clients / seconds;
@@ -208,6 +219,9 @@ pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig) -> Measur
         resolution: config.resolution.to_string(),
         interest: "around",
         rtt_ms: mean(&rtt_ms),
+        jitter_ms: link.jitter.as_secs_f64() * 1e3,
+        loss: link.loss,
+        blur: config.blur,
         lead: config.lead.to_string(),
         lead_ms: mean(&sorted_ms(&|frame| frame.ahead.time)),
         avatars: log.objects.iter().filter(|object| object.class == AVATAR_CLASS).count(),

@@ -25,15 +25,26 @@ use crate::virtual_net::{
 };
 
 /// The virtual microsecond at which a run begins; true time and a driver's clock are the same.
-const BEGIN: WorldTime = WorldTime::from_micros(1_000_000);
+pub(super) const BEGIN: WorldTime = WorldTime::from_micros(1_000_000);
 
-pub(super) fn run(
+/// A run with everybody in it, before anything has happened.
+pub(super) struct Begun {
+    pub run: VirtualRun,
+    /// Watching clients, by their numbers in the run.
+    pub numbers: Vec<usize>,
+    costs: Vec<Rc<RefCell<Cost>>>,
+    /// Connections that only move avatars.
+    actors: Vec<usize>,
+}
+
+/// Connects everybody.
+pub(super) fn begin(
     stage: &Stage,
     crowd: Option<&Crowd>,
     config: &MeasureConfig,
     link: &LinkRules,
     policy: &str,
-) -> anyhow::Result<RunLog> {
+) -> anyhow::Result<Begun> {
     let world = stage.world(config.world(stage), policy, BEGIN)?;
     let mut run = VirtualRun::new(world, config.seed, BEGIN);
     let bounds = stage.model.scene.bounds();
@@ -59,6 +70,17 @@ pub(super) fn run(
         let watching = Watching { person, cost: cost.clone(), anchor: stage.anchor() };
         numbers.push(run.join(plan, Box::new(watching), index()));
     }
+    Ok(Begun { run, numbers, costs, actors })
+}
+
+pub(super) fn run(
+    stage: &Stage,
+    crowd: Option<&Crowd>,
+    config: &MeasureConfig,
+    link: &LinkRules,
+    policy: &str,
+) -> anyhow::Result<RunLog> {
+    let Begun { mut run, numbers, costs, actors } = begin(stage, crowd, config, link, policy)?;
     let mut recorder = Recorder {
         config,
         start: BEGIN + config.warm_up,
