@@ -7,7 +7,7 @@ use eyeline_client::session::Session;
 use eyeline_client::tracking::Ahead;
 use eyeline_protocol::{LocalTime, ObjectId, Orientation, Position};
 use eyeline_server::spec::AvatarSpec;
-use eyeline_visibility::{AllRound, AllRoundScratch, Bound, EyeRegion, Occlusion};
+use eyeline_visibility::{AllRound, AllRoundScratch, Bound, EyeRegion, Occlusion, Wedge};
 use glam::DVec3;
 
 use crate::motion::WalkerPose;
@@ -68,6 +68,9 @@ pub struct Ground {
     pub all_round: Arc<AllRound>,
 }
 
+/// Horizontal angle of everybody's view, radians.
+pub const FOV: f64 = std::f64::consts::FRAC_PI_2;
+
 /// Called after each frame with the session, the report, and the pose that the frame was seen from.
 pub type FrameHook = Box<dyn FnMut(&mut Session, &FrameReport, &WalkerPose) + Send>;
 
@@ -86,6 +89,8 @@ pub struct Person {
     /// One for the region, or one for each of its sampled eyes.
     scratches: Vec<AllRoundScratch>,
     has_culled: bool,
+    /// Where anybody looks, if not all round.
+    wedge: Option<Wedge>,
     hook: Option<FrameHook>,
 }
 
@@ -110,6 +115,7 @@ impl Person {
             all_round: ground.all_round.clone(),
             scratches: vec![ground.all_round.scratch(side)],
             has_culled: false,
+            wedge: None,
             hook,
         }
     }
@@ -145,7 +151,8 @@ impl Person {
 
 impl Occlusion for Person {
     fn hides(&self, bound: &Bound) -> bool {
-        self.scratches.iter().all(|scratch| scratch.occlusion().hides(bound))
+        self.wedge.is_some_and(|wedge| wedge.excludes(bound))
+            || self.scratches.iter().all(|scratch| scratch.occlusion().hides(bound))
     }
 }
 
@@ -167,6 +174,8 @@ impl Driver for Person {
             // Only an eye or radius that is no number is refused.
             self.has_culled = self.all_round.cull(region, scratch).is_ok();
         }
+        let region = EyeRegion { centre, radius: ahead.eye_radius };
+        self.wedge = ahead.turn.map(|turn| Wedge::new(region, self.pose.yaw, 0.5 * FOV + turn));
     }
 
     fn occlusion(&self) -> Option<&dyn Occlusion> {

@@ -17,6 +17,7 @@ use std::time::Duration;
 
 use eyeline_client::session::{Session, SessionConfig};
 use eyeline_client::tracking::{Growth, Lead, Sabotage, TrackerConfig};
+use eyeline_protocol::Interest;
 use eyeline_server::world::WorldConfig;
 use eyeline_visibility::Resolution;
 
@@ -75,6 +76,8 @@ pub struct MeasureConfig {
     pub staged: bool,
     /// How far ahead the trackers ask about visibility.
     pub lead: Lead,
+    /// Which directions clients hear of.
+    pub interest: Interest,
     /// Deliberate damage to the trackers.
     pub sabotage: Option<Sabotage>,
 }
@@ -98,6 +101,7 @@ impl Default for MeasureConfig {
             linger_frames: 2,
             staged: true,
             lead: Lead::None,
+            interest: Interest::Around,
             sabotage: None,
         }
     }
@@ -141,6 +145,7 @@ impl MeasureConfig {
             .with_resolution(pixels(self.resolution.width), pixels(self.resolution.height))
             .with_name(format!("client {number}"))
             .with_tracker(self.tracker())
+            .with_interest(self.interest)
             .with_record_states()
     }
 }

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use eyeline_client::tracking::{Growth, Lead, Sabotage};
+use eyeline_protocol::Interest;
 use eyeline_server::app::number;
 use eyeline_sim::demo::{self, Case};
 use eyeline_sim::measure::{self, MeasureConfig, Net, Sweep, SweepKey};
@@ -115,6 +116,10 @@ pub struct Measure {
     #[arg(long, value_name = "LEAD", default_value = "none")]
     lead: Lead,
 
+    /// Which directions clients hear of: around, since a turn of the head beats any lead, or frustum, the paper's
+    #[arg(long, value_name = "DIRECTIONS", default_value = "around", value_parser = interest)]
+    interest: Interest,
+
     /// Frames that something must be hidden before updates are declined
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=1000))]
     linger_frames: u32,
@@ -160,6 +165,14 @@ pub const EXAMPLES: &str = "Examples:
 pub const WHY_EXAMPLES: &str = "Examples:
   eyeline-sim why 3 12 --rooms 4x4 --clients 8 --at 2.5
   eyeline-sim why 0 chair.17 --rtt 50 --lead auto --seed 9";
+
+fn interest(text: &str) -> Result<Interest, String> {
+    match text {
+        "around" => Ok(Interest::Around),
+        "frustum" => Ok(Interest::Frustum),
+        other => Err(format!("'{other}' is not around or frustum")),
+    }
+}
 
 fn columns_by_rows(text: &str) -> Result<(u32, u32), String> {
     let rooms = pair(text).filter(|&(columns, rows)| (1..=200).contains(&columns) && (1..=200).contains(&rows));
@@ -245,6 +258,7 @@ fn prepare(options: &Measure) -> anyhow::Result<Case> {
         linger_frames: options.linger_frames,
         staged: !options.no_staged,
         lead: options.lead,
+        interest: options.interest,
         sabotage: options.sabotage,
         ..MeasureConfig::default()
     };
