@@ -1,6 +1,7 @@
 //! The people in front of headless clients: they walk, stand and look, or walk as somebody once did.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use eyeline_client::net::{Driver, FrameReport, Pose};
 use eyeline_client::session::Session;
@@ -201,13 +202,16 @@ pub struct Replay {
     /// Places to announce: (slot, where, whether present).
     pub moves: u64,
     placing: Vec<(ObjectId, Position, bool)>,
+    /// Of each slot, where the recording had them last and where they got to, relative to the anchor.
+    feet: Vec<(DVec3, DVec3)>,
 }
 
 impl Replay {
     /// A crowd from `start_s` seconds into its trace; it begins again when the trace ends.
     pub fn new(crowd: Crowd, anchor: DVec3, start_s: f64) -> Replay {
         let slots = vec![None; crowd.trace.people_at_once()];
-        Replay { crowd, anchor, began: None, start_s, slots, moves: 0, placing: Vec::new() }
+        let feet = vec![(DVec3::ZERO, DVec3::ZERO); slots.len()];
+        Replay { crowd, anchor, began: None, start_s, slots, moves: 0, placing: Vec::new(), feet }
     }
 
     /// How many avatars it drives.
@@ -233,10 +237,21 @@ impl Replay {
         let mut poses = Vec::new();
         for (slot, &object) in avatars.iter().enumerate().take(self.slots.len()) {
             let person = wanted.get(slot).copied().flatten().map(|person| (lap, person));
-            let place = person.and_then(|(_, person)| {
-                let at = self.crowd.trace.position_at(person, time_s)?;
-                let facing = self.crowd.trace.facing_at(person, time_s).unwrap_or(0.0);
-                let feet = self.crowd.placement.feet(at) - self.anchor;
+            let place = person.and_then(|(lap, number)| {
+                let at = self.crowd.trace.position_at(number, time_s)?;
+                let facing = self.crowd.trace.facing_at(number, time_s).unwrap_or(0.0);
+                let recorded = self.crowd.placement.feet(at) - self.anchor;
+                let feet = match (&self.crowd.obstacles, self.slots[slot] == Some((lap, number))) {
+                    (Some(obstacles), true) => {
+                        let (before, feet) = self.feet[slot];
+                        let (feet, slid) = obstacles.step(feet, recorded - before);
+                        self.crowd.slid.fetch_add(u64::from(slid), Ordering::Relaxed);
+                        feet
+                    }
+                    // Who has just come, or nothing to slide along.
+                    _ => recorded,
+                };
+                self.feet[slot] = (recorded, feet);
                 Some((Position::from_metres(feet).ok()?, self.crowd.placement.yaw(facing)))
             });
             match (place, self.slots[slot] == person) {
@@ -331,12 +346,18 @@ impl Extras {
     /// The crowd, if there is one, and `residents` people besides, numbered from `first`: one connection each for as many as
     /// it may drive.
     pub fn all(stage: &Stage, crowd: Option<&Crowd>, residents: usize, seed: u64, first: usize) -> Vec<Extras> {
-        let replay = crowd.map(|crowd| Extras::Replay(Replay::new(crowd.clone(), stage.anchor(), 0.0)));
+        let replays = crowd.into_iter().flat_map(|crowd| {
+            let copies = std::iter::once((crowd.placement, 0.0)).chain(crowd.copies.iter().copied());
+            copies.map(|(placement, start_s)| {
+                let crowd = Crowd { placement, ..crowd.clone() };
+                Extras::Replay(Replay::new(crowd, stage.anchor(), start_s))
+            })
+        });
         let of_one = |from: usize| {
             let count = (residents - from).min(RESIDENTS_MAX) as u16;
             Extras::Residents(Residents::new(stage.ground(), seed, first + from, count))
         };
-        replay.into_iter().chain((0..residents).step_by(RESIDENTS_MAX).map(of_one)).collect()
+        replays.chain((0..residents).step_by(RESIDENTS_MAX).map(of_one)).collect()
     }
 
     /// How many avatars it drives.

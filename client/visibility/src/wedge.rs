@@ -100,7 +100,8 @@ mod tests {
             let wedge = Wedge::new(region, yaw, half);
             if aside <= half {
                 prop_assert!(!wedge.excludes(&ball(centre, radius)));
-                prop_assert!(!wedge.excludes(&Bound::Upright { centre, radius, half_height: 1.0 }));
+                let upright = Bound::Upright { centre, radius, half_height: 1.0 };
+                prop_assert!(!wedge.excludes(&upright));
             }
         }
     }

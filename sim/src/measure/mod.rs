@@ -13,6 +13,7 @@ mod truth;
 mod virtual_time;
 mod why;
 
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use eyeline_client::session::{Session, SessionConfig};
@@ -167,6 +168,9 @@ pub fn measure(
     net: &Net,
     policy: &str,
 ) -> anyhow::Result<MeasureRow> {
+    if let Some(crowd) = crowd {
+        crowd.slid.store(0, Ordering::Relaxed);
+    }
     let log = match net {
         Net::Quic => quic::run(stage, crowd, config, policy)?,
         Net::Sim(link) => virtual_time::run(stage, crowd, config, link, policy)?,
@@ -175,5 +179,7 @@ pub fn measure(
     let progress = Progress::new(frames as u64, &format!("{policy}: computing the truth"));
     let truth = judge(stage, &log, config, &progress);
     progress.finish();
-    Ok(row::row(&log, &truth, config, net))
+    let mut row = row::row(&log, &truth, config, net);
+    row.slid_steps = crowd.map_or(0, |crowd| crowd.slid.load(Ordering::Relaxed));
+    Ok(row)
 }

@@ -73,6 +73,7 @@ pub struct MeasureRow {
     pub late_refuted: u64,
     pub requests_resent: u64,
     pub poses_clamped: u64,
+    pub slid_steps: u64,
     pub violations: u64,
     pub broken_bound_object_ms: f64,
     pub message_digest: String,
@@ -175,6 +176,7 @@ pub fn columns() -> Vec<Column> {
         column("late_refuted", "", "verdicts of late that rays did not bear out, dropped"),
         column("requests_resent", "", "requests sent again because no answer came"),
         column("poses_clamped", "", "poses held back to their motion bound"),
+        column("slid_steps", "", "steps of recorded people that led into a wall, and along it instead"),
         column("violations", "", "bounds broken on purpose: teleports, entering, leaving"),
         column("broken_bound_object_ms", "ms", "time for which clients believed bounds that had been broken, summed"),
         column(
@@ -275,6 +277,7 @@ pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig, net: &Net
         late_refuted: truth.late_refuted,
         requests_resent: log.clients.iter().map(|client| client.resent).sum(),
         poses_clamped: log.poses_clamped,
+        slid_steps: 0,
         violations: log.violations,
         broken_bound_object_ms: log.clients.iter().map(|client| client.broken_believed.as_secs_f64() * 1e3).sum(),
         message_digest: log.digest.map_or_else(String::new, |digest| format!("{digest:016x}")),

@@ -43,6 +43,10 @@ pub struct Measure {
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
 
+    /// So many copies of that crowd, apart in the world and shifted in time, to fill it
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "trace", value_parser = clap::value_parser!(u32).range(1..=64))]
+    trace_copies: u32,
+
     #[command(flatten)]
     place: Place,
 
@@ -225,8 +229,9 @@ fn prepare(options: &Measure) -> anyhow::Result<Case> {
     let mut crowd = None;
     if let Some(file) = &options.trace {
         let trace = Trace::read(file)?;
-        let (with_crowd, placed) =
-            stage.with_crowd(trace, options.place.placement()).with_context(|| file.display().to_string())?;
+        let (with_crowd, placed) = stage
+            .with_crowd(trace, options.place.placement(), options.trace_copies as usize)
+            .with_context(|| file.display().to_string())?;
         stage = with_crowd;
         crowd = Some(placed);
     }
