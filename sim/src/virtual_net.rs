@@ -9,11 +9,15 @@
 //! Links follow turmoil's rules: a datagram's [`Fate`] is `Deliver(delay)` or `Drop`. The control stream is reliable and
 //! ordered, as QUIC's streams are: a loss costs it a retransmission's delay.
 
+mod capacity;
 mod client;
 mod link;
+mod observer;
 mod queue;
 mod run;
 
+pub use capacity::{Blackout, Capacity};
 pub use client::{Client, ClientDriver, ClientPlan, Pose};
 pub use link::{Direction, Fate, Kind, LinkRules, VirtualLink};
-pub use run::{Framed, Ignore, Observer, Passing, Verdict, VirtualRun};
+pub use observer::{Framed, Ignore, Observer, Passing, Verdict};
+pub use run::VirtualRun;

@@ -8,6 +8,7 @@ use eyeline_server::world::SessionId;
 use eyeline_visibility::Occlusion;
 use glam::DVec3;
 
+use super::capacity::Capacity;
 use super::link::{LinkRules, VirtualLink};
 
 pub use eyeline_client::net::Pose;
@@ -47,6 +48,10 @@ pub struct ClientPlan {
     pub up: LinkRules,
     /// The link from the server.
     pub down: LinkRules,
+    /// How much the link to the server carries; blackouts count from the join.
+    pub up_capacity: Capacity,
+    /// How much the link from the server carries.
+    pub down_capacity: Capacity,
     /// Time between frames; default 50 ms. The session's tracker is to be told the same.
     pub frame: Duration,
     /// When the first frame after the join is; default by the seed, within a frame.
@@ -61,7 +66,22 @@ impl ClientPlan {
     /// A client with both directions of its link alike.
     pub fn new(session: SessionConfig, link: LinkRules) -> ClientPlan {
         let frame = session.tracker.frame;
-        ClientPlan { session, up: link, down: link, frame, phase: None, drift: 0.0, datagram_limit: 1150 }
+        ClientPlan {
+            session,
+            up: link,
+            down: link,
+            up_capacity: Capacity::default(),
+            down_capacity: Capacity::default(),
+            frame,
+            phase: None,
+            drift: 0.0,
+            datagram_limit: 1150,
+        }
+    }
+
+    /// Sets how much the link carries, each way.
+    pub fn with_capacity(self, capacity: Capacity) -> ClientPlan {
+        ClientPlan { up_capacity: capacity.clone(), down_capacity: capacity, ..self }
     }
 
     /// Sets when the first frame is, after the join.

@@ -6,6 +6,8 @@ use eyeline_protocol::WorldTime;
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
+use super::capacity::{Capacity, Line};
+
 /// Which way something goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Direction {
@@ -90,6 +92,7 @@ impl LinkRules {
 pub struct VirtualLink {
     rules: LinkRules,
     chance: Pcg64,
+    line: Line,
     /// When the newest control message arrives: none overtakes it.
     control_at: WorldTime,
 }
@@ -104,7 +107,12 @@ const RETRANSMISSION_EXTRA: Duration = Duration::from_millis(30);
 impl VirtualLink {
     /// A link with these rules, which `chance` applies.
     pub fn new(rules: LinkRules, chance: Pcg64) -> VirtualLink {
-        VirtualLink { rules, chance, control_at: WorldTime::MIN }
+        VirtualLink { rules, chance, line: Line::default(), control_at: WorldTime::MIN }
+    }
+
+    /// Limits what it carries; blackouts count from `begin`.
+    pub fn with_capacity(self, capacity: Capacity, begin: WorldTime) -> VirtualLink {
+        VirtualLink { line: Line::new(capacity, begin), ..self }
     }
 
     /// The rules.
@@ -117,11 +125,18 @@ impl VirtualLink {
         self.rules = rules;
     }
 
-    /// Decides on a datagram, and on its second copy if there is one.
-    pub fn datagram(&mut self) -> (Fate, Option<Fate>) {
+    /// Decides on a datagram of `bytes` bytes that is sent at `now`, and on its second copy if there is one.
+    pub fn datagram(&mut self, bytes: usize, now: WorldTime) -> (Fate, Option<Fate>) {
+        // Drawn even if the line is blocked, so that a blackout leaves the decisions after it as they were.
         let first = self.fate();
         let is_twice = self.is(self.rules.duplicate);
-        (first, is_twice.then(|| self.fate()))
+        let second = is_twice.then(|| self.fate());
+        let Some(wait) = self.line.take(bytes, now) else { return (Fate::Drop, None) };
+        let later = |fate| match fate {
+            Fate::Deliver(delay) => Fate::Deliver(wait + delay),
+            Fate::Drop => Fate::Drop,
+        };
+        (later(first), second.map(later))
     }
 
     fn fate(&mut self) -> Fate {
@@ -141,8 +156,14 @@ impl VirtualLink {
     pub fn control(&mut self, bytes: usize, now: WorldTime) -> (WorldTime, u32) {
         let mut lost = 0;
         let retransmission = 2 * self.rules.unhindered_max() + RETRANSMISSION_EXTRA;
-        for _ in 0..bytes.div_ceil(PACKET_BYTES).max(1) {
-            let mut arrives = now + self.delay();
+        for packet in 0..bytes.div_ceil(PACKET_BYTES).max(1) {
+            let mut sent = now;
+            while let Some(end) = self.line.dark_until(sent) {
+                sent = end + retransmission;
+                lost += 1;
+            }
+            let size = (bytes - packet * PACKET_BYTES).min(PACKET_BYTES);
+            let mut arrives = sent + self.line.wait(size, sent) + self.delay();
             while self.is(self.rules.loss.min(LOSS_MAX)) {
                 arrives = arrives + retransmission;
                 lost += 1;
@@ -180,7 +201,7 @@ mod tests {
         let mut link = link(rules);
         let (mut lost, mut twice) = (0, 0);
         for _ in 0..10_000 {
-            let (first, second) = link.datagram();
+            let (first, second) = link.datagram(100, WorldTime::ZERO);
             lost += i32::from(first == Fate::Drop);
             twice += i32::from(second.is_some());
         }
@@ -196,7 +217,9 @@ mod tests {
             let mut link = link(rules);
             let mut longest = Duration::ZERO;
             for _ in 0..1_000 {
-                let (Fate::Deliver(delay), None) = link.datagram() else { panic!("nothing is lost or doubled here") };
+                let (Fate::Deliver(delay), None) = link.datagram(100, WorldTime::ZERO) else {
+                    panic!("nothing is lost or doubled here")
+                };
                 assert!((rules.delay..=rules.one_way_max()).contains(&delay), "{delay:?}");
                 longest = longest.max(delay);
             }
