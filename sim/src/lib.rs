@@ -6,6 +6,7 @@ pub mod measure;
 pub mod motion;
 pub mod people;
 pub mod places;
+pub mod relay;
 pub mod report;
 pub mod scene;
 pub mod stage;

@@ -13,11 +13,11 @@ mod capacity;
 mod client;
 mod link;
 mod observer;
-mod queue;
+pub(crate) mod queue;
 mod run;
 
 pub use capacity::{Blackout, Capacity};
 pub use client::{Client, ClientDriver, ClientPlan, Pose};
-pub use link::{Direction, Fate, Kind, LinkRules, VirtualLink};
+pub use link::{Direction, Fate, Kind, LinkRules, LinkStats, VirtualLink};
 pub use observer::{Framed, Ignore, Observer, Passing, Verdict};
 pub use run::VirtualRun;

@@ -399,7 +399,7 @@ async fn send_world(connection: &quinn::Connection, model: Bytes) {
 /// Few streams and small windows: a connection's memory is what limits a server of thousands (FACTS: stream limits of
 /// 8 instead of 100 save a fifth, MTU discovery off halves the handshake). The datagram buffer holds two ticks of a busy
 /// client, so that it can't hide seconds of stale poses.
-fn transport() -> quinn::TransportConfig {
+pub fn transport() -> quinn::TransportConfig {
     let mut transport = quinn::TransportConfig::default();
     transport
         .max_concurrent_bidi_streams(1u32.into())
@@ -415,8 +415,11 @@ fn transport() -> quinn::TransportConfig {
     transport
 }
 
-/// A socket with buffers for a tick's burst: the system's default drops them (FACTS).
-fn socket(address: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
+/// A socket with buffers for a tick's burst: the system's default drops them (FACTS). Does not block.
+///
+/// # Errors
+/// If the address can't be had.
+pub fn socket(address: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
     let socket = socket2::Socket::new(
         socket2::Domain::for_address(address),
         socket2::Type::DGRAM,

@@ -53,6 +53,15 @@ impl Capacity {
     }
 }
 
+/// Why a line takes nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Blocked {
+    /// A blackout lasts.
+    Dark,
+    /// The queue is full.
+    Full,
+}
+
 /// A [`Capacity`] at work.
 #[derive(Clone, Debug)]
 pub(super) struct Line {
@@ -83,18 +92,18 @@ impl Line {
         ends.max().map(|end| self.begin + end)
     }
 
-    /// Takes a datagram: for how long it waits and is being sent; `None` if it is lost.
-    pub fn take(&mut self, bytes: usize, now: WorldTime) -> Option<Duration> {
+    /// Takes a datagram: for how long it waits and is being sent, or why it is lost.
+    pub fn take(&mut self, bytes: usize, now: WorldTime) -> Result<Duration, Blocked> {
         if self.dark_until(now).is_some() {
-            return None;
+            return Err(Blocked::Dark);
         }
         let rate = self.capacity.rate.map_or(0, NonZeroU64::get);
         let waiting_bytes = self.free_at.since(now).as_micros() * u128::from(rate) / 8_000_000;
         let is_idle = self.free_at <= now;
         if !is_idle && waiting_bytes + bytes as u128 > self.capacity.queue_bytes as u128 {
-            return None;
+            return Err(Blocked::Full);
         }
-        Some(self.wait(bytes, now))
+        Ok(self.wait(bytes, now))
     }
 
     /// Takes so many bytes whatever waits already.
@@ -124,13 +133,9 @@ mod tests {
         let rate = NonZeroU64::new(800_000).unwrap();
         let mut line = line(Capacity::default().with_rate(rate).with_queue_bytes(2_500));
         let taken: Vec<_> = (0..5).map(|_| line.take(1_000, at(2_000)).map(|wait| wait.as_millis())).collect();
-        assert_eq!(taken, [Some(10), Some(20), None, None, None]);
-        assert_eq!(line.take(1_000, at(2_020)), Some(Duration::from_millis(10)), "idle again");
-        assert_eq!(
-            line.take(9_000, at(2_040)),
-            Some(Duration::from_millis(90)),
-            "larger than the queue, but it is idle"
-        );
+        assert_eq!(taken, [Ok(10), Ok(20), Err(Blocked::Full), Err(Blocked::Full), Err(Blocked::Full)]);
+        assert_eq!(line.take(1_000, at(2_020)), Ok(Duration::from_millis(10)), "idle again");
+        assert_eq!(line.take(9_000, at(2_040)), Ok(Duration::from_millis(90)), "larger than the queue, but it is idle");
     }
 
     #[test]
@@ -140,7 +145,7 @@ mod tests {
             .with_blackout(Duration::from_millis(550), Duration::from_millis(200));
         let mut line = line(capacity);
         for (millis, passes) in [(0, true), (1_499, true), (1_500, false), (1_749, false), (1_750, true)] {
-            assert_eq!(line.take(10, at(millis)).is_some(), passes, "{millis} ms");
+            assert_eq!(line.take(10, at(millis)).is_ok(), passes, "{millis} ms");
         }
         assert_eq!(line.dark_until(at(1_510)), Some(at(1_600)));
         assert_eq!(line.dark_until(at(1_599)), Some(at(1_750)));

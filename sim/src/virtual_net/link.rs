@@ -6,7 +6,7 @@ use eyeline_protocol::WorldTime;
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-use super::capacity::{Capacity, Line};
+use super::capacity::{Blocked, Capacity, Line};
 
 /// Which way something goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -88,11 +88,34 @@ impl LinkRules {
     }
 }
 
+/// What became of datagrams, those apart that simply arrived once.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkStats {
+    /// Lost by chance.
+    pub lost: u64,
+    /// Lost because the queue was full.
+    pub overflowed: u64,
+    /// Lost in a blackout.
+    pub dark: u64,
+    /// That chance doubled.
+    pub twice: u64,
+}
+
+impl std::ops::AddAssign for LinkStats {
+    fn add_assign(&mut self, other: LinkStats) {
+        self.lost += other.lost;
+        self.overflowed += other.overflowed;
+        self.dark += other.dark;
+        self.twice += other.twice;
+    }
+}
+
 /// One direction of one client's link.
 pub struct VirtualLink {
     rules: LinkRules,
     chance: Pcg64,
     line: Line,
+    stats: LinkStats,
     /// When the newest control message arrives: none overtakes it.
     control_at: WorldTime,
 }
@@ -107,7 +130,7 @@ const RETRANSMISSION_EXTRA: Duration = Duration::from_millis(30);
 impl VirtualLink {
     /// A link with these rules, which `chance` applies.
     pub fn new(rules: LinkRules, chance: Pcg64) -> VirtualLink {
-        VirtualLink { rules, chance, line: Line::default(), control_at: WorldTime::MIN }
+        VirtualLink { rules, chance, line: Line::default(), stats: LinkStats::default(), control_at: WorldTime::MIN }
     }
 
     /// Limits what it carries; blackouts count from `begin`.
@@ -118,6 +141,11 @@ impl VirtualLink {
     /// The rules.
     pub fn rules(&self) -> LinkRules {
         self.rules
+    }
+
+    /// What became of datagrams so far.
+    pub fn stats(&self) -> &LinkStats {
+        &self.stats
     }
 
     /// Changes the rules for what is sent from now on.
@@ -131,7 +159,19 @@ impl VirtualLink {
         let first = self.fate();
         let is_twice = self.is(self.rules.duplicate);
         let second = is_twice.then(|| self.fate());
-        let Some(wait) = self.line.take(bytes, now) else { return (Fate::Drop, None) };
+        let wait = match self.line.take(bytes, now) {
+            Ok(wait) => wait,
+            Err(Blocked::Dark) => {
+                self.stats.dark += 1;
+                return (Fate::Drop, None);
+            }
+            Err(Blocked::Full) => {
+                self.stats.overflowed += 1;
+                return (Fate::Drop, None);
+            }
+        };
+        self.stats.lost += u64::from(first == Fate::Drop);
+        self.stats.twice += u64::from(is_twice);
         let later = |fate| match fate {
             Fate::Deliver(delay) => Fate::Deliver(wait + delay),
             Fate::Drop => Fate::Drop,
