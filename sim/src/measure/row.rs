@@ -79,7 +79,11 @@ pub fn columns() -> Vec<Column> {
             "",
             "whom the server tells: visible (ours), broadcast (everybody), oracle (exactly what can be seen, all round)",
         ),
-        column("net", "", "quic: real QUIC over loopback in real time; sim: a simulated network in virtual time"),
+        column(
+            "net",
+            "",
+            "quic: real QUIC over loopback in real time; sim: a simulated network in virtual time; sim-quic: the same with QUIC's own state machines",
+        ),
         column("clients", "", "watching clients, each with an avatar"),
         column("objects", "", "things that may move, avatars included"),
         column("hidden_mean", "", "objects that own no pixel in any direction, per client, mean"),

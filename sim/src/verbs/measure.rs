@@ -75,19 +75,20 @@ pub struct Measure {
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "320x240", value_parser = resolution)]
     resolution: Resolution,
 
-    /// quic: real QUIC over loopback in real time. sim: a simulated network in virtual time
+    /// quic: real QUIC over loopback in real time, through a relay if a path is described. sim: a simulated network in virtual
+    /// time. sim-quic: the same with QUIC's own handshakes, loss recovery and congestion control
     #[arg(long, value_enum, default_value_t = NetName::Quic)]
     net: NetName,
 
-    /// Round trip of the simulated network, milliseconds
-    #[arg(long, value_name = "MS", default_value_t = 0.5, value_parser = number(0.0..=10_000.0, "ms"))]
-    rtt: f64,
+    /// Round trip of the simulated network or the relay, milliseconds [default: 0.5 in virtual time]
+    #[arg(long, value_name = "MS", value_parser = number(0.0..=10_000.0, "ms"))]
+    rtt: Option<f64>,
 
-    /// Jitter of the simulated network, milliseconds, each way
+    /// Jitter of the simulated network or the relay, milliseconds, each way
     #[arg(long, value_name = "MS", default_value_t = 0.0, value_parser = number(0.0..=10_000.0, "ms"))]
     jitter: f64,
 
-    /// Share of datagrams that the simulated network loses, 0 to 1, each way
+    /// Share of datagrams that the simulated network or the relay loses, 0 to 1, each way
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = number(0.0..=0.9, ""))]
     loss: f64,
 
@@ -135,6 +136,8 @@ enum NetName {
     Quic,
     /// A simulated network in virtual time: the same seed gives the same messages
     Sim,
+    /// The same with QUIC's own handshakes, loss recovery and congestion control
+    SimQuic,
 }
 
 pub const EXAMPLES: &str = "Examples:
@@ -203,7 +206,7 @@ pub fn run(options: &Measure) -> anyhow::Result<()> {
         None => {
             let places = stage.model.spec.spawns.len().clamp(1, 32);
             match options.net {
-                NetName::Sim => places,
+                NetName::Sim | NetName::SimQuic => places,
                 NetName::Quic => fitting_clients(&mut stage, options, places)?,
             }
         }
@@ -228,14 +231,16 @@ pub fn run(options: &Measure) -> anyhow::Result<()> {
         ..MeasureConfig::default()
     };
     let millis = |value: f64| Duration::from_secs_f64(value * 1e-3);
+    let is_virtual = options.net != NetName::Quic;
+    let link = LinkRules::default()
+        .with_delay(millis(options.rtt.unwrap_or(if is_virtual { 0.5 } else { 0.0 }) / 2.0))
+        .with_jitter(millis(options.jitter))
+        .with_loss(options.loss);
     let net = match options.net {
-        NetName::Quic => Net::Quic,
-        NetName::Sim => Net::Sim(
-            LinkRules::default()
-                .with_delay(millis(options.rtt / 2.0))
-                .with_jitter(millis(options.jitter))
-                .with_loss(options.loss),
-        ),
+        NetName::Quic if link == LinkRules::default() => Net::Quic,
+        NetName::Quic => Net::QuicOver(link),
+        NetName::Sim => Net::Sim(link),
+        NetName::SimQuic => Net::SimQuic(link),
     };
     let policies: Vec<&str> = options.policies.iter().map(String::as_str).collect();
     let text = demo::measure_all(&stage, crowd.as_ref(), &config, &net, &policies, &options.out, "Eyeline measure")?;

@@ -58,7 +58,7 @@ pub struct ClientPlan {
     pub phase: Option<Duration>,
     /// How much faster than the server's the client's clock runs, as a share; default 0. `5e-4` is 0.05 %.
     pub drift: f64,
-    /// Most bytes in a datagram, in both directions; default 1150.
+    /// Most bytes in a datagram, in both directions; default 1150. Over QUIC the connection says.
     pub datagram_limit: usize,
 }
 
@@ -129,7 +129,6 @@ pub struct Client {
     pub(super) id: SessionId,
     pub(super) clock: OwnClock,
     pub(super) frame: Duration,
-    pub(super) datagram_limit: usize,
     pub(super) connected: bool,
     pub(super) events: Vec<Event>,
     pub(super) closed: Option<String>,
