@@ -90,7 +90,9 @@ fn damaged(chance: &mut Pcg64, bytes: &[u8]) -> Vec<u8> {
         1 => bytes.truncate(chance.random_range(0..bytes.len())),
         _ => {
             let length = chance.random_range(0..1_200);
-            bytes = (0..length).map(|_| chance.random::<u8>() | 0x80).collect();
+            bytes = (0..length).map(|_| chance.random()).collect();
+            // No number begins so: a header that somebody guesses is another test.
+            bytes.iter_mut().take(1).for_each(|byte| *byte = 0xff);
         }
     }
     bytes
@@ -119,22 +121,26 @@ fn replayed_truncated_and_made_up_datagrams_change_nothing_and_are_counted() {
         village.run.inject(*client, *direction, damaged(&mut chance, bytes));
         *if *direction == Direction::Up { &mut up } else { &mut down } += 1;
     }
+    // The last one's turn.
+    village.settle(Duration::ZERO);
     others.assert_same(&undisturbed, "datagrams from elsewhere");
     let (stats, before) = (village.run.world().stats(), calm.run.world().stats());
     let rejected = stats.rejected_datagrams - before.rejected_datagrams;
     let stale = stats.stale_datagrams - before.stale_datagrams;
     assert!(rejected > 20 && stale > 20 && rejected + stale == up, "{rejected} + {stale} of {up}");
-    assert_eq!(stats.messages_in, before.messages_in);
+    // What is asked may be asked again a little earlier; nothing else is said.
+    assert_eq!((stats.messages_in.poses, stats.forbidden), (before.messages_in.poses, before.forbidden));
     let session = village.run.clients()[VILLAIN].session.stats();
-    assert!(session.rejected > 20 && session.stale > 20 && session.rejected + session.stale == down, "{session:?}");
+    assert!(session.rejected > 20 && session.stale > 20, "{session:?}");
+    assert_eq!(session.rejected + session.stale, down);
     assert!(village.run.clients()[VILLAIN].is_connected());
 }
 
 #[test]
 fn over_quic_packets_from_elsewhere_change_nothing_at_all() {
     let live = |is_attacked: bool| {
-        let rules = Rules::over_quic(1, link().with_jitter(ms(5)).with_loss(0.02));
-        let mut village = Village::new(&rules);
+        // What endpoints answer to strangers must not use up the chance of links.
+        let mut village = Village::new(&Rules::over_quic(1, link()));
         let taps = tap(&mut village);
         let mut chance = Pcg64::seed_from_u64(12);
         village.settle(ms(1_000));
@@ -227,6 +233,8 @@ fn a_clock_that_is_fast_slow_or_runs_backwards_is_its_owners_trouble_only() {
         assert_eq!(stats.rejected_datagrams, before.rejected_datagrams);
         let client = &village.run.clients()[VILLAIN];
         assert!(client.is_connected() && client.events().len() == 1, "{drift}: {:?}", client.events());
+        let jumps = client.session.stats().clock_jumps;
+        assert_eq!(jumps > 100, drift < -1.0, "a drift of {drift}: {jumps} jumps");
         let drawn = client.session.tracker().map_or(0, |tracker| tracker.drawn().count());
         assert!(drawn > 0, "a drift of {drift}: it draws nothing");
     }
@@ -247,7 +255,11 @@ fn a_clock_that_jumps_is_its_owners_trouble_only_and_soon_right_again() {
         village.run_for(after, &mut Both { others: &mut others, truth: &mut truth });
         others.assert_same(&undisturbed, &format!("a jump of {jump} µs"));
         truth.assert_kept(&format!("after a jump of {jump} µs"));
-        assert!(truth.visible_checked > 100 && truth.bounds_checked > 100);
+        assert_eq!(village.run.clients()[VILLAIN].session.stats().clock_jumps, u64::from(jump < 0));
+        let checked = (truth.visible_checked, truth.bounds_checked);
+        // Who takes it to be an hour later believes no bound any more, and asks about everything.
+        let hides = jump < 1_000_000_000;
+        assert!(checked.0 > 30 && (checked.1 > 300 || !hides), "{checked:?}");
     }
 }
 
