@@ -1,6 +1,7 @@
 use std::net::Ipv4Addr;
 
 use super::*;
+use crate::virtual_net::{Capacity, LinkRules};
 
 /// A server that sends everything back, a relay before it, and what the relay did in the end.
 async fn with_echo<T>(

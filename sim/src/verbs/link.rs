@@ -211,7 +211,7 @@ fn show(stats: &RelayStats, elapsed: Duration) {
     // Who has closed it does not want to read.
     let _ = if error.is_terminal() {
         write!(error, "\r{text}\x1b[K").and_then(|()| error.flush())
-    } else if elapsed.as_secs() % 10 == 0 {
+    } else if elapsed.as_secs().is_multiple_of(10) {
         writeln!(error, "{text}")
     } else {
         Ok(())
