@@ -17,6 +17,8 @@ pub struct Clock {
     smoothed: Option<(LocalTime, WorldTime)>,
     /// Round trip of the best probe so far, growing slowly so that a better path is noticed.
     best_round: Duration,
+    /// Whether our clock may have stood still since the latest time was learned: any probe then is better.
+    doubtful: bool,
     frozen: bool,
 }
 
@@ -28,8 +30,10 @@ impl Clock {
         // run at our pace; the drift of so short a time is covered by rounding up.
         let latest = sent + round.mul_f64(1.0 + DRIFT) + Duration::from_micros(1);
         // A stamp beyond the latest proves that wrong: our clock stood still, in a suspended machine say.
-        if self.latest(now).is_none_or(|known| latest < known || sent > known) && !self.frozen {
+        let is_better = self.latest(now).is_none_or(|known| latest < known || sent > known);
+        if (is_better || self.doubtful) && !self.frozen {
             self.latest = Some((now, latest));
+            self.doubtful = false;
         }
         let middle = sent + round / 2;
         self.best_round += Duration::from_micros(10);
@@ -49,6 +53,21 @@ impl Clock {
         }
         if self.best_round < Duration::from_micros(20) || round < self.best_round {
             self.best_round = round;
+        }
+    }
+
+    /// Our clock has jumped, and nobody knows how much time that hid: what is known may be early until the next probe.
+    pub fn doubt(&mut self) {
+        self.doubtful = true;
+    }
+
+    /// A probe whose round trip can't be told. Its stamp still says that the server's time is no earlier.
+    pub fn observe_stamp(&mut self, sent: WorldTime, now: LocalTime) {
+        if self.latest(now).is_none_or(|known| sent > known) && !self.frozen {
+            self.latest = Some((now, sent));
+        }
+        if self.smoothed(now).is_none_or(|known| sent > known) {
+            self.smoothed = Some((now, sent));
         }
     }
 
@@ -76,6 +95,23 @@ impl Clock {
     }
 }
 
+/// Our own clock, made to never go back. What a jump back hides is taken for nothing, and the session is told.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Monotonic {
+    newest: Option<LocalTime>,
+    /// What all jumps back come to, microseconds.
+    back: i64,
+}
+
+impl Monotonic {
+    /// The time that goes on, and whether the clock has just jumped back.
+    pub fn now(&mut self, raw: LocalTime) -> (LocalTime, bool) {
+        let newest = self.newest.replace(raw).unwrap_or(raw);
+        self.back = self.back.saturating_add(newest.since(raw).as_micros() as i64);
+        (raw.offset_micros(self.back), raw < newest)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -91,6 +127,31 @@ mod tests {
         let now = LocalTime::from_micros(10_000);
         clock.observe(WorldTime::from_micros(6_010_000), round, now);
         assert!(clock.latest(now).unwrap() >= WorldTime::from_micros(6_010_000));
+    }
+
+    #[test]
+    fn what_is_doubted_gives_way_to_the_next_probe_and_stamps_help_until_then() {
+        let at = LocalTime::from_micros;
+        let mut clock = Clock::default();
+        clock.observe(WorldTime::from_micros(1_000_000), Duration::from_millis(1), at(0));
+        clock.doubt();
+        clock.observe_stamp(WorldTime::from_micros(2_000_000), at(10));
+        assert_eq!(clock.latest(at(10)), Some(WorldTime::from_micros(2_000_000)));
+        clock.observe_stamp(WorldTime::from_micros(1_500_000), at(10));
+        assert_eq!(clock.latest(at(10)), Some(WorldTime::from_micros(2_000_000)), "an older one says nothing");
+        clock.observe(WorldTime::from_micros(2_000_000), Duration::from_millis(60), at(20));
+        let latest = clock.latest(at(20)).unwrap();
+        assert!(latest >= WorldTime::from_micros(2_060_000), "{latest:?}");
+    }
+
+    #[test]
+    fn a_monotonic_clock_goes_on_from_where_the_other_went_back() {
+        let mut clock = Monotonic::default();
+        let times: Vec<_> = [5, 9, 2, 4, 4, 1, 3]
+            .map(|micros| clock.now(LocalTime::from_micros(micros)))
+            .map(|(now, is_jump)| (now.micros(), is_jump))
+            .into();
+        assert_eq!(times, [(5, false), (9, false), (9, true), (11, false), (11, false), (11, true), (13, false)]);
     }
 
     proptest! {

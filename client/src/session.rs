@@ -9,7 +9,7 @@ use eyeline_protocol::{
 };
 use eyeline_visibility::{DynamicIndex, Occlusion};
 
-use crate::clock::{Clock, DRIFT};
+use crate::clock::{Clock, DRIFT, Monotonic};
 use crate::tracking::{Ahead, Sabotage, Tracker, TrackerConfig};
 
 /// Settings of a [`Session`].
@@ -109,6 +109,8 @@ pub struct SessionStats {
     pub rejected: u64,
     /// Duplicates, and datagrams too old to tell.
     pub stale: u64,
+    /// How often our own clock went back.
+    pub clock_jumps: u64,
 }
 
 /// What a frame was made with.
@@ -133,6 +135,9 @@ pub struct Session {
     /// What a datagram carried: questions, by their numbers.
     link: Link<Vec<(ObjectId, u64)>>,
     clock: Clock,
+    monotonic: Monotonic,
+    /// The first of our datagrams that left after the newest jump of our clock: only these tell a round trip.
+    probes_from: u32,
     tracker: Option<Tracker>,
     welcome: Option<Box<Welcome>>,
     /// Roster entries of the welcome that have not arrived.
@@ -168,6 +173,8 @@ impl Session {
             make_index,
             link: Link::default(),
             clock: Clock::default(),
+            monotonic: Monotonic::default(),
+            probes_from: 0,
             tracker: None,
             welcome: None,
             objects_due: 0,
@@ -182,6 +189,17 @@ impl Session {
             states_received: Vec::new(),
             stats: SessionStats::default(),
         }
+    }
+
+    /// Our own time, which goes on though our clock goes back.
+    fn own_time(&mut self, now: LocalTime) -> LocalTime {
+        let (now, is_jump) = self.monotonic.now(now);
+        if is_jump {
+            self.stats.clock_jumps += 1;
+            self.probes_from = self.link.next_seq();
+            self.clock.doubt();
+        }
+        now
     }
 
     /// One control message, without its length prefix.
@@ -239,6 +257,7 @@ impl Session {
 
     /// One datagram. With the newest frame's `occlusion` answers are acted on at once.
     pub fn handle_datagram(&mut self, bytes: &[u8], occlusion: Option<&dyn Occlusion>, now: LocalTime) {
+        let now = self.own_time(now);
         let Some(tracker) = &mut self.tracker else { return };
         let (header, records) = match codec::decode_server_datagram(bytes) {
             Ok(datagram) => datagram,
@@ -259,7 +278,9 @@ impl Session {
             return;
         }
         self.owes_ack = true;
-        if let Some(sent_at) = sent_at {
+        if sent_at.is_some() && header.link.ack < self.probes_from {
+            self.clock.observe_stamp(header.sent, now);
+        } else if let Some(sent_at) = sent_at {
             let hold = std::time::Duration::from_micros(u64::from(header.link.hold_micros));
             // The server measured the hold with its own clock, which may run faster than ours.
             let hold = hold.mul_f64(1.0 - DRIFT);
@@ -336,6 +357,7 @@ impl Session {
     /// One frame: decides what is asked, given what hides things from every eye that `ahead` tells of. `None` until the
     /// server's time is known.
     pub fn frame(&mut self, ahead: Ahead, occlusion: &dyn Occlusion, now: LocalTime) -> Option<FrameTime> {
+        let now = self.own_time(now);
         let latest = self.clock.latest(now)?;
         let shown = self.clock.smoothed(now)?.max(self.shown);
         self.shown = shown;
@@ -351,14 +373,16 @@ impl Session {
     /// The next datagram of at most `limit` bytes, but only if there is a record that should not wait for the next frame:
     /// a question that an answer has raised. Acknowledgements alone wait.
     pub fn poll_urgent(&mut self, limit: usize, now: LocalTime) -> Option<Vec<u8>> {
+        let own = self.own_time(now);
         if self.held_back.is_none() {
-            self.held_back = self.tracker.as_mut()?.poll_record(now);
+            self.held_back = self.tracker.as_mut()?.poll_record(own);
         }
         self.held_back.is_some().then(|| self.poll_datagram(limit, now))?
     }
 
     /// The next datagram of at most `limit` bytes.
     pub fn poll_datagram(&mut self, limit: usize, now: LocalTime) -> Option<Vec<u8>> {
+        let now = self.own_time(now);
         let tracker = self.tracker.as_mut()?;
         let mut next = self.held_back.take().or_else(|| tracker.poll_record(now));
         if next.is_none() && self.poses_due.is_empty() && !self.owes_ack {

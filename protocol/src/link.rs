@@ -209,6 +209,11 @@ impl<T> Link<T> {
         (self.greatest > 0).then_some(self.greatest_at)
     }
 
+    /// Number of the next datagram.
+    pub fn next_seq(&self) -> u32 {
+        self.next_seq
+    }
+
     /// When the datagram with this number left, if it is still awaited.
     pub fn sent_at(&self, seq: u32) -> Option<LocalTime> {
         self.in_flight.iter().find(|sent| sent.seq == seq).map(|sent| sent.at)

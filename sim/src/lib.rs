@@ -6,6 +6,8 @@ pub mod measure;
 pub mod motion;
 pub mod people;
 pub mod places;
+mod quic_net;
+pub mod relay;
 pub mod report;
 pub mod scene;
 pub mod stage;

@@ -6,14 +6,22 @@
 //! of its own, with its own zero and, if wanted, its own pace. Nothing waits: an event queue jumps from one thing that
 //! happens to the next, so that an hour costs what its messages cost.
 //!
-//! Links follow turmoil's rules: a datagram's [`Fate`] is `Deliver(delay)` or `Drop`. The control stream is reliable and
-//! ordered, as QUIC's streams are: a loss costs it a retransmission's delay.
+//! What is between cores and links is nothing ([`VirtualRun::new`]: each datagram is a packet) or QUIC itself
+//! ([`VirtualRun::over_quic`]).
+//!
+//! Links follow turmoil's rules: a datagram's [`Fate`] is `Deliver(delay)` or `Drop`. Without QUIC the
+//! control stream is reliable and ordered all the same: a loss costs it a retransmission's delay.
 
+mod capacity;
 mod client;
 mod link;
-mod queue;
+mod observer;
+pub(crate) mod queue;
 mod run;
+pub(crate) mod transport;
 
+pub use capacity::{Blackout, Capacity};
 pub use client::{Client, ClientDriver, ClientPlan, Pose};
-pub use link::{Direction, Fate, Kind, LinkRules, VirtualLink};
-pub use run::{Framed, Ignore, Observer, Passing, Verdict, VirtualRun};
+pub use link::{Direction, Fate, Kind, LinkRules, LinkStats, VirtualLink};
+pub use observer::{Framed, Ignore, Observer, Passing, Verdict};
+pub use run::VirtualRun;

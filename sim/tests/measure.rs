@@ -86,3 +86,18 @@ fn the_same_seed_gives_the_same_messages() {
     assert_eq!(one.missed_object_ms, again.missed_object_ms);
     assert_ne!(one.message_digest, other.message_digest);
 }
+
+#[test]
+fn quic_itself_changes_hardly_what_is_said() {
+    let config = MeasureConfig { window: Duration::from_secs(2), truth_share: 0.1, ..config() };
+    let rules = LinkRules::default().with_delay(Duration::from_millis(20)).with_jitter(Duration::from_millis(2));
+    let live = |net| measure(&stage(), None, &config, &net, "visible").unwrap();
+    let (plain, quic) = (live(Net::Sim(rules)), live(Net::SimQuic(rules)));
+    assert_eq!((plain.net, quic.net), ("sim", "sim-quic"));
+    let ratio = quic.messages_per_client_s / plain.messages_per_client_s;
+    assert!((0.95..1.05).contains(&ratio), "{ratio}: {quic:?} {plain:?}");
+    assert_eq!(quic.late_over_bound, 0, "{quic:?}");
+    // Headers, tags and acknowledgements are counted where there are any.
+    assert!(quic.udp_bytes_per_client_s > plain.udp_bytes_per_client_s * 1.1, "{quic:?} {plain:?}");
+    assert_eq!(quic.message_digest, live(Net::SimQuic(rules)).message_digest);
+}

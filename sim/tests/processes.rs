@@ -177,6 +177,40 @@ fn server_swarm_and_replay_are_three_processes() {
 }
 
 #[test]
+fn a_swarm_lives_on_through_delay_loss_and_a_second_of_darkness() {
+    let server = Served::start(&["--rooms", "2x2"]);
+    let to = server.address.to_string();
+    let mut link = command(&["link", "--to", &to, "--delay", "20ms", "--jitter", "4ms", "--loss", "0.02"])
+        .args(["--down-delay", "25ms", "--blackout", "3s+1s", "--duplicate", "0.01", "--rate", "20Mbit"])
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(link.stdout.as_mut().unwrap()).lines();
+    let first = lines.next().unwrap().unwrap();
+    let relay: SocketAddr = first.strip_prefix("listening ").unwrap_or_else(|| panic!("{first}")).parse().unwrap();
+    let (relay, cache) = (relay.to_string(), TempDir::new().unwrap());
+    let swarm = command(&["swarm", "--connect", &relay, "--fingerprint", &server.fingerprint, "--clients", "3"])
+        .args(["--seconds", "5", "--cache", text(cache.path())])
+        .output()
+        .unwrap();
+    assert!(swarm.status.success(), "{swarm:?}");
+    let said = String::from_utf8_lossy(&swarm.stdout).into_owned();
+    assert!(said.contains("rtt_ms"), "{said}");
+    // The last column of the one row, whose first is the number of clients.
+    let row = said.lines().rfind(|line| line.trim_start().starts_with("3 ")).unwrap_or_else(|| panic!("{said}"));
+    let rtt = row.split_whitespace().last().and_then(|cell| cell.parse::<f64>().ok());
+    assert!(rtt.is_some_and(|rtt| (45.0..500.0).contains(&rtt)), "{said}");
+
+    let sent = Command::new("kill").args(["-INT", &link.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    let link = link.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&link.stdout).into_owned();
+    assert_eq!(link.status.code(), Some(0), "{link:?}");
+    assert!(number_before(&said, " clients") == 1, "swarms have one socket: {said}");
+    assert!(number_before(&said, " lost") > 0 && number_before(&said, " in the dark") > 10, "{said}");
+    server.end("-INT");
+}
+
+#[test]
 fn a_server_that_ends_tells_its_clients() {
     let server = Served::start(&["--rooms", "2x1", "--policy", "broadcast"]);
     let cache = TempDir::new().unwrap();
@@ -262,6 +296,11 @@ fn bad_numbers_are_usage_errors() {
         (&["swarm", "--server-file", "x", "--clients", "0"], "1..=4096"),
         (&["swarm", "--server-file", "x", "--seconds", "nan"], "0.1 to"),
         (&["swarm", "--server-file", "x", "--sabotage", "all"], "drop-exposures"),
+        (&["link", "--to", "127.0.0.1:9", "--delay", "25"], "25ms"),
+        (&["link", "--to", "127.0.0.1:9", "--up-loss", "2"], "0 to 1"),
+        (&["link", "--to", "127.0.0.1:9", "--rate", "0bit"], "2Mbit"),
+        (&["link", "--to", "127.0.0.1:9", "--down-blackout", "1s"], "10s+500ms"),
+        (&["link"], "--to"),
         (&["swarm", "--connect", "localhost:1", "--fingerprint", "abc"], "64 hexadecimal digits"),
         (&["replay", "--server-file", "x", "--trace", "x", "--trace-origin", "1,2"], "three numbers"),
     ] {
@@ -277,7 +316,7 @@ fn bad_numbers_are_usage_errors() {
     ] {
         assert!(failure(args).contains(part), "{args:?}");
     }
-    for verb in [&["scene", "rooms"][..], &["scene"], &["serve"], &["swarm"], &["replay"], &[]] {
+    for verb in [&["scene", "rooms"][..], &["scene"], &["serve"], &["swarm"], &["replay"], &["link"], &[]] {
         let output = sim(&[verb, &["--help"]].concat());
         assert!(output.status.success() && output.stdout.len() > 500, "{verb:?}");
     }

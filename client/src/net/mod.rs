@@ -105,16 +105,7 @@ impl Endpoint {
     /// # Errors
     /// If there is no socket to be had.
     pub fn new(fingerprint: Fingerprint, remote: SocketAddr) -> Result<Endpoint, NetError> {
-        let provider = Arc::new(rustls::crypto::ring::default_provider());
-        let mut tls = rustls::ClientConfig::builder_with_provider(provider.clone())
-            .with_protocol_versions(&[&rustls::version::TLS13])?
-            .dangerous()
-            .with_custom_certificate_verifier(Arc::new(pin::Pinned::new(fingerprint, provider)))
-            .with_no_client_auth();
-        tls.alpn_protocols = vec![ALPN.to_vec()];
-        let quic = QuicClientConfig::try_from(tls).map_err(|error| NetError::Lost(error.to_string()))?;
-        let mut config = quinn::ClientConfig::new(Arc::new(quic));
-        config.transport_config(Arc::new(transport()));
+        let config = quic_config(fingerprint)?;
         let any: SocketAddr = match (remote, remote.ip().is_loopback()) {
             (SocketAddr::V4(_), true) => (std::net::Ipv4Addr::LOCALHOST, 0).into(),
             (SocketAddr::V4(_), false) => (std::net::Ipv4Addr::UNSPECIFIED, 0).into(),
@@ -337,6 +328,24 @@ impl Connection {
 
 /// Largest model that is fetched: 1 GiB.
 const WORLD_BYTES_MAX: usize = 1 << 30;
+
+/// How a client speaks QUIC and TLS with servers whose certificate has this fingerprint, wherever its packets go.
+///
+/// # Errors
+/// If TLS can't be set up.
+pub fn quic_config(fingerprint: Fingerprint) -> Result<quinn::ClientConfig, NetError> {
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let mut tls = rustls::ClientConfig::builder_with_provider(provider.clone())
+        .with_protocol_versions(&[&rustls::version::TLS13])?
+        .dangerous()
+        .with_custom_certificate_verifier(Arc::new(pin::Pinned::new(fingerprint, provider)))
+        .with_no_client_auth();
+    tls.alpn_protocols = vec![ALPN.to_vec()];
+    let quic = QuicClientConfig::try_from(tls).map_err(|error| NetError::Lost(error.to_string()))?;
+    let mut config = quinn::ClientConfig::new(Arc::new(quic));
+    config.transport_config(Arc::new(transport()));
+    Ok(config)
+}
 
 fn transport() -> quinn::TransportConfig {
     let mut transport = quinn::TransportConfig::default();

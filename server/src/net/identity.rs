@@ -50,6 +50,21 @@ impl Identity {
         Ok(Identity { certificate: certificate.der().clone(), key })
     }
 
+    /// The same identity every time, made from a key that everybody can read here: for simulations, whose handshakes are to
+    /// be of the same bytes' number in every run. Never for a server that strangers can reach.
+    ///
+    /// # Errors
+    /// If the certificate can't be made.
+    pub fn simulated() -> Result<Identity, IdentityError> {
+        // PKCS #8 around an Ed25519 seed (RFC 8410 §7).
+        let mut pkcs8 = b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20".to_vec();
+        pkcs8.extend([0x5a; 32]);
+        let key = rcgen::KeyPair::try_from(pkcs8.clone())?;
+        let certificate = certificate(&key)?;
+        let key = PrivateKeyDer::Pkcs8(pkcs8.into());
+        Ok(Identity { certificate: certificate.der().clone(), key })
+    }
+
     /// The identity in `folder` (`certificate.pem` and `key.pem`), made on the first run. The key is readable by its
     /// owner only.
     ///
@@ -94,8 +109,11 @@ impl Identity {
 fn make() -> Result<(rcgen::Certificate, rcgen::KeyPair), rcgen::Error> {
     // Ed25519 keeps the handshake's size fixed, which simulations like.
     let key = rcgen::KeyPair::generate_for(&rcgen::PKCS_ED25519)?;
-    let certificate = rcgen::CertificateParams::new(vec!["eyeline".to_owned()])?.self_signed(&key)?;
-    Ok((certificate, key))
+    Ok((certificate(&key)?, key))
+}
+
+fn certificate(key: &rcgen::KeyPair) -> Result<rcgen::Certificate, rcgen::Error> {
+    rcgen::CertificateParams::new(vec!["eyeline".to_owned()])?.self_signed(key)
 }
 
 fn write_private(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
@@ -108,4 +126,16 @@ fn write_private(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
         options.mode(0o600);
     }
     options.open(path)?.write_all(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_simulated_identity_is_always_the_same_and_no_other_is() {
+        let fingerprint = || Identity::simulated().unwrap().fingerprint();
+        assert_eq!(fingerprint(), fingerprint());
+        assert_ne!(Identity::ephemeral().unwrap().fingerprint(), fingerprint());
+    }
 }

@@ -202,14 +202,7 @@ impl Server {
         clock: WorldClock,
         hook: Option<CommitHook>,
     ) -> Result<Server, ServeError> {
-        let provider = Arc::new(rustls::crypto::ring::default_provider());
-        let mut tls = rustls::ServerConfig::builder_with_provider(provider)
-            .with_protocol_versions(&[&rustls::version::TLS13])?
-            .with_no_client_auth()
-            .with_single_cert(vec![identity.certificate], identity.key)?;
-        tls.alpn_protocols = vec![ALPN.to_vec()];
-        let mut config = quinn::ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(tls)?));
-        config.transport_config(Arc::new(transport()));
+        let config = quic_config(identity)?;
         let socket = socket(address).map_err(|source| ServeError::Bind { address, source })?;
         let runtime = Arc::new(quinn::TokioRuntime);
         let endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), Some(config), socket, runtime)
@@ -396,6 +389,22 @@ async fn send_world(connection: &quinn::Connection, model: Bytes) {
     }
 }
 
+/// How this server speaks QUIC and TLS, wherever its packets go.
+///
+/// # Errors
+/// If the identity is of no use.
+pub fn quic_config(identity: Identity) -> Result<quinn::ServerConfig, ServeError> {
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let mut tls = rustls::ServerConfig::builder_with_provider(provider)
+        .with_protocol_versions(&[&rustls::version::TLS13])?
+        .with_no_client_auth()
+        .with_single_cert(vec![identity.certificate], identity.key)?;
+    tls.alpn_protocols = vec![ALPN.to_vec()];
+    let mut config = quinn::ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(tls)?));
+    config.transport_config(Arc::new(transport()));
+    Ok(config)
+}
+
 /// Few streams and small windows: a connection's memory is what limits a server of thousands (FACTS: stream limits of
 /// 8 instead of 100 save a fifth, MTU discovery off halves the handshake). The datagram buffer holds two ticks of a busy
 /// client, so that it can't hide seconds of stale poses.
@@ -415,8 +424,11 @@ fn transport() -> quinn::TransportConfig {
     transport
 }
 
-/// A socket with buffers for a tick's burst: the system's default drops them (FACTS).
-fn socket(address: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
+/// A socket with buffers for a tick's burst: the system's default drops them (FACTS). Does not block.
+///
+/// # Errors
+/// If the address can't be had.
+pub fn socket(address: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
     let socket = socket2::Socket::new(
         socket2::Domain::for_address(address),
         socket2::Type::DGRAM,

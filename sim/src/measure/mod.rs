@@ -40,6 +40,10 @@ pub enum Net {
     Quic,
     /// A simulated network in virtual time; both directions of each link alike.
     Sim(LinkRules),
+    /// The same, with QUIC's state machines between cores and links.
+    SimQuic(LinkRules),
+    /// Real QUIC over loopback, through a relay that does this to its datagrams.
+    QuicOver(LinkRules),
 }
 
 /// Settings of a measurement. Everything that a result depends on.
@@ -172,8 +176,10 @@ pub fn measure(
         crowd.slid.store(0, Ordering::Relaxed);
     }
     let log = match net {
-        Net::Quic => quic::run(stage, crowd, config, policy)?,
-        Net::Sim(link) => virtual_time::run(stage, crowd, config, link, policy)?,
+        Net::Quic => quic::run(stage, crowd, config, None, policy)?,
+        Net::QuicOver(link) => quic::run(stage, crowd, config, Some(link), policy)?,
+        Net::Sim(link) => virtual_time::run(stage, crowd, config, link, false, policy)?,
+        Net::SimQuic(link) => virtual_time::run(stage, crowd, config, link, true, policy)?,
     };
     let frames = log.clients.iter().flat_map(|client| &client.frames).filter(|frame| frame.known.is_some()).count();
     let progress = Progress::new(frames as u64, &format!("{policy}: computing the truth"));

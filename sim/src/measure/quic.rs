@@ -19,8 +19,10 @@ use eyeline_visibility::DynamicOctree;
 
 use super::{Bursts, ClientLog, Commit, FrameLog, MeasureConfig, ObjectInfo, RunLog, known_of};
 use crate::people::{Extras, FrameHook, Person};
+use crate::relay::{Relay, RelayConfig};
 use crate::report::Progress;
 use crate::stage::{Crowd, Stage};
+use crate::virtual_net::LinkRules;
 
 /// What the server thread tells when it listens.
 struct Ready {
@@ -36,6 +38,7 @@ pub(super) fn run(
     stage: &Stage,
     crowd: Option<&Crowd>,
     config: &MeasureConfig,
+    link: Option<&LinkRules>,
     policy: &str,
 ) -> anyhow::Result<RunLog> {
     let clock = WorldClock::starting_at(WorldTime::ZERO);
@@ -68,7 +71,7 @@ pub(super) fn run(
             })
         })?
     };
-    let ready = match ready.recv() {
+    let mut ready = match ready.recv() {
         Ok(ready) => ready,
         Err(_) => {
             let outcome = server.join().map_err(|_| anyhow::anyhow!("the server panicked"))?;
@@ -77,9 +80,19 @@ pub(super) fn run(
         }
     };
     let handle = ready.handle.clone();
+    let relay = match link {
+        Some(link) => Some(Relaying::start(ready.address, *link, config.seed)?),
+        None => None,
+    };
+    if let Some(relay) = &relay {
+        ready.address = relay.address;
+    }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let outcome =
         tokio::task::LocalSet::new().block_on(&runtime, run_clients(stage, crowd, config, policy, ready, clock));
+    if let Some(relay) = relay {
+        relay.end()?;
+    }
     let _ = stop.send(());
     server.join().map_err(|_| anyhow::anyhow!("the server panicked"))??;
     let Measured { clients, up, down, server_work, turnaround, tick_micros, poses_clamped, violations } = outcome?;
@@ -102,6 +115,51 @@ pub(super) fn run(
         violations,
         digest: None,
     })
+}
+
+/// A relay in a thread of its own, since it must be on time.
+struct Relaying {
+    address: SocketAddr,
+    stop: tokio::sync::oneshot::Sender<()>,
+    thread: std::thread::JoinHandle<anyhow::Result<()>>,
+}
+
+impl Relaying {
+    fn start(to: SocketAddr, link: LinkRules, seed: u64) -> anyhow::Result<Relaying> {
+        let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+        let (ready_send, ready) = mpsc::channel();
+        let thread = std::thread::Builder::new().name("relay".into()).spawn(move || -> anyhow::Result<()> {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+            runtime.block_on(async {
+                let listen = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+                let relay = Relay::bind(RelayConfig::new(listen, to).with_link(link).with_seed(seed))?;
+                // If nobody waits any more, the run has failed elsewhere.
+                let _ = ready_send.send(relay.local_addr()?);
+                let stats = relay
+                    .run(
+                        async {
+                            let _ = stopped.await;
+                        },
+                        |_| (),
+                    )
+                    .await;
+                tracing::info!(%stats, "relayed");
+                anyhow::Ok(())
+            })
+        })?;
+        match ready.recv() {
+            Ok(address) => Ok(Relaying { address, stop, thread }),
+            Err(_) => {
+                thread.join().map_err(|_| anyhow::anyhow!("the relay panicked"))??;
+                anyhow::bail!("the relay ended before it listened")
+            }
+        }
+    }
+
+    fn end(self) -> anyhow::Result<()> {
+        let _ = self.stop.send(());
+        self.thread.join().map_err(|_| anyhow::anyhow!("the relay panicked"))?
+    }
 }
 
 struct Measured {

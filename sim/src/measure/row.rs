@@ -88,7 +88,11 @@ pub fn columns() -> Vec<Column> {
             "",
             "whom the server tells: visible (ours), broadcast (everybody), oracle (exactly what can be seen, all round)",
         ),
-        column("net", "", "quic: real QUIC over loopback in real time; sim: a simulated network in virtual time"),
+        column(
+            "net",
+            "",
+            "quic: real QUIC over loopback in real time; sim: a simulated network in virtual time; sim-quic: the same with QUIC's own state machines",
+        ),
         column("clients", "", "watching clients, each with an avatar"),
         column("objects", "", "things that may move, avatars included"),
         column("hidden_mean", "", "objects that own no pixel in any direction, per client, mean"),
@@ -190,7 +194,7 @@ pub fn columns() -> Vec<Column> {
 pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig, net: &Net) -> MeasureRow {
     let link = match net {
         Net::Quic => LinkRules::default(),
-        Net::Sim(link) => *link,
+        Net::QuicOver(link) | Net::Sim(link) | Net::SimQuic(link) => *link,
     };
     let clients = log.clients.len().max(1) as f64;
     let seconds = log.window.as_secs_f64();

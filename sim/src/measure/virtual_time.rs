@@ -43,10 +43,14 @@ pub(super) fn begin(
     crowd: Option<&Crowd>,
     config: &MeasureConfig,
     link: &LinkRules,
+    is_quic: bool,
     policy: &str,
 ) -> anyhow::Result<Begun> {
     let world = stage.world(config.world(stage), policy, BEGIN)?;
-    let mut run = VirtualRun::new(world, config.seed, BEGIN);
+    let mut run = match is_quic {
+        true => VirtualRun::over_quic(world, config.seed, BEGIN)?,
+        false => VirtualRun::new(world, config.seed, BEGIN),
+    };
     let bounds = stage.model.scene.bounds();
     let index = || Box::new(move || Box::new(DynamicOctree::new(bounds)) as Box<_>);
     let mut actors = Vec::new();
@@ -78,9 +82,10 @@ pub(super) fn run(
     crowd: Option<&Crowd>,
     config: &MeasureConfig,
     link: &LinkRules,
+    is_quic: bool,
     policy: &str,
 ) -> anyhow::Result<RunLog> {
-    let Begun { mut run, numbers, costs, actors } = begin(stage, crowd, config, link, policy)?;
+    let Begun { mut run, numbers, costs, actors } = begin(stage, crowd, config, link, is_quic, policy)?;
     let mut recorder = Recorder {
         config,
         start: BEGIN + config.warm_up,
@@ -91,6 +96,7 @@ pub(super) fn run(
         trackers: Vec::new(),
         actor_poses: 0,
         actors,
+        is_quic,
     };
     let progress =
         Progress::new((config.warm_up + config.window).as_millis() as u64, &format!("{policy}: virtual time"));
@@ -107,6 +113,9 @@ pub(super) fn run(
                 let session = &run.clients()[*number].session;
                 recorder.trackers.push(session.tracker().map(|tracker| *tracker.stats()).unwrap_or_default());
                 log.sent = session.stats().records_out;
+                if let Some(udp) = run.udp(*number) {
+                    log.udp = udp;
+                }
             }
         }
         progress.inc(passed.as_millis() as u64);
@@ -115,6 +124,9 @@ pub(super) fn run(
     for ((log, number), before) in recorder.clients.iter_mut().zip(&recorder.numbers).zip(&recorder.trackers) {
         let client = &run.clients()[*number];
         anyhow::ensure!(client.is_connected(), "client {number} lost its connection: {:?}", client.closed());
+        if let Some(udp) = run.udp(*number) {
+            log.udp = std::array::from_fn(|index| udp[index] - log.udp[index]);
+        }
         log.avatar = client.avatar().unwrap_or_default();
         let stats = client.session.tracker().map(|tracker| *tracker.stats()).unwrap_or_default();
         log.note(before, &stats);
@@ -125,7 +137,7 @@ pub(super) fn run(
     up.poses = up.poses.saturating_sub(recorder.actor_poses);
     Ok(RunLog {
         policy: policy.to_owned(),
-        net: "sim",
+        net: if is_quic { "sim-quic" } else { "sim" },
         window: config.window,
         commits: recorder.commits,
         classes: run.world().classes().to_vec(),
@@ -238,6 +250,8 @@ struct Recorder<'a> {
     trackers: Vec<TrackerStats>,
     actor_poses: u64,
     actors: Vec<usize>,
+    /// Whether UDP is counted by QUIC.
+    is_quic: bool,
 }
 
 impl Recorder<'_> {
@@ -296,7 +310,7 @@ impl Observer for Recorder<'_> {
             }
             return;
         }
-        let Some(watcher) = self.watcher(message.client) else { return };
+        let Some(watcher) = self.watcher(message.client).filter(|_| !self.is_quic) else { return };
         let udp = &mut self.clients[watcher].udp;
         let first = if message.direction == Direction::Up { 0 } else { 2 };
         udp[first] += 1;

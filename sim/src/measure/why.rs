@@ -79,7 +79,7 @@ pub fn why(
     if viewer >= config.clients {
         bail!("there is no client {viewer}; clients are 0 to {}: choose one, or raise --clients", config.clients - 1);
     }
-    let begun = virtual_time::begin(stage, crowd, config, link, policy)?;
+    let begun = virtual_time::begin(stage, crowd, config, link, false, policy)?;
     let (mut run, client) = (begun.run, begun.numbers[viewer]);
     let mut ear = Ear { client, object: None, said: Vec::new() };
     let end = BEGIN + config.warm_up + at;

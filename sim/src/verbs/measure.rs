@@ -84,19 +84,20 @@ pub struct Measure {
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "320x240", value_parser = resolution)]
     resolution: Resolution,
 
-    /// quic: real QUIC over loopback in real time. sim: a simulated network in virtual time
+    /// quic: real QUIC over loopback in real time, through a relay if a path is described. sim: a simulated network in virtual
+    /// time. sim-quic: the same with QUIC's own handshakes, loss recovery and congestion control
     #[arg(long, value_enum, default_value_t = NetName::Quic)]
     net: NetName,
 
-    /// Round trip of the simulated network, milliseconds
-    #[arg(long, value_name = "MS", default_value_t = 0.5, value_parser = number(0.0..=10_000.0, "ms"))]
-    rtt: f64,
+    /// Round trip of the simulated network or the relay, milliseconds [default: 0.5 in virtual time]
+    #[arg(long, value_name = "MS", value_parser = number(0.0..=10_000.0, "ms"))]
+    rtt: Option<f64>,
 
-    /// Jitter of the simulated network, milliseconds, each way
+    /// Jitter of the simulated network or the relay, milliseconds, each way
     #[arg(long, value_name = "MS", default_value_t = 0.0, value_parser = number(0.0..=10_000.0, "ms"))]
     jitter: f64,
 
-    /// Share of datagrams that the simulated network loses, 0 to 1, each way
+    /// Share of datagrams that the simulated network or the relay loses, 0 to 1, each way
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = number(0.0..=0.9, ""))]
     loss: f64,
 
@@ -157,6 +158,8 @@ enum NetName {
     Quic,
     /// A simulated network in virtual time: the same seed gives the same messages
     Sim,
+    /// The same with QUIC's own handshakes, loss recovery and congestion control
+    SimQuic,
 }
 
 pub const EXAMPLES: &str = "Examples:
@@ -240,7 +243,7 @@ fn prepare(options: &Measure) -> anyhow::Result<Case> {
         None => {
             let places = stage.model.spec.spawns.len().clamp(1, 32);
             match options.net {
-                NetName::Sim => places,
+                NetName::Sim | NetName::SimQuic => places,
                 NetName::Quic => fitting_clients(&mut stage, options, places)?,
             }
         }
@@ -268,13 +271,16 @@ fn prepare(options: &Measure) -> anyhow::Result<Case> {
         ..MeasureConfig::default()
     };
     let millis = |value: f64| Duration::from_secs_f64(value * 1e-3);
+    let is_virtual = options.net != NetName::Quic;
     let link = LinkRules::default()
-        .with_delay(millis(options.rtt / 2.0))
+        .with_delay(millis(options.rtt.unwrap_or(if is_virtual { 0.5 } else { 0.0 }) / 2.0))
         .with_jitter(millis(options.jitter))
         .with_loss(options.loss);
     let net = match options.net {
-        NetName::Quic => Net::Quic,
+        NetName::Quic if link == LinkRules::default() => Net::Quic,
+        NetName::Quic => Net::QuicOver(link),
         NetName::Sim => Net::Sim(link),
+        NetName::SimQuic => Net::SimQuic(link),
     };
     Ok(Case { stage, crowd, config, net })
 }
@@ -297,7 +303,7 @@ fn swept(options: &Measure, key: SweepKey, value: &str) -> anyhow::Result<Measur
         }
         SweepKey::Avatars => options.avatars = Some(whole().with_context(bad)?),
         SweepKey::Clients => options.clients = Some(whole().with_context(bad)?),
-        SweepKey::Rtt => options.rtt = real(10_000.0).with_context(bad)?,
+        SweepKey::Rtt => options.rtt = Some(real(10_000.0).with_context(bad)?),
         SweepKey::Loss => options.loss = real(0.9).with_context(bad)?,
         SweepKey::Lead => options.lead = value.parse().map_err(anyhow::Error::msg).with_context(bad)?,
         SweepKey::Blur => options.blur = real(1000.0).with_context(bad)?,

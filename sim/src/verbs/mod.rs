@@ -1,6 +1,7 @@
 //! What can be done from the command line: one file a verb, each with its options and what it prints.
 
 mod cull;
+mod link;
 mod measure;
 mod place;
 mod replay;
@@ -42,6 +43,9 @@ pub enum Verb {
     /// Fill a server with people who really walked: a recorded crowd behind one connection
     #[command(after_long_help = replay::EXAMPLES)]
     Replay(replay::Replay),
+    /// Put a bad path between clients and a server: delay, jitter, loss, duplicates, reordering, a rate, blackouts
+    #[command(after_long_help = link::EXAMPLES)]
+    Link(Box<link::Link>),
 }
 
 /// Runs a verb.
@@ -55,6 +59,7 @@ pub fn run(verb: &Verb) -> anyhow::Result<()> {
         Verb::Serve(options) => serve::run(options),
         Verb::Swarm(options) => swarm::run(options),
         Verb::Replay(options) => replay::run(options),
+        Verb::Link(options) => link::run(options),
     }
 }
 

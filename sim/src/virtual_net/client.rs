@@ -9,6 +9,7 @@ use eyeline_server::world::SessionId;
 use eyeline_visibility::Occlusion;
 use glam::DVec3;
 
+use super::capacity::Capacity;
 use super::link::{LinkRules, VirtualLink};
 
 pub use eyeline_client::net::Pose;
@@ -50,13 +51,17 @@ pub struct ClientPlan {
     pub up: LinkRules,
     /// The link from the server.
     pub down: LinkRules,
+    /// How much the link to the server carries; blackouts count from the join.
+    pub up_capacity: Capacity,
+    /// How much the link from the server carries.
+    pub down_capacity: Capacity,
     /// Time between frames; default 50 ms. The session's tracker is to be told the same.
     pub frame: Duration,
     /// When the first frame after the join is; default by the seed, within a frame.
     pub phase: Option<Duration>,
     /// How much faster than the server's the client's clock runs, as a share; default 0. `5e-4` is 0.05 %.
     pub drift: f64,
-    /// Most bytes in a datagram, in both directions; default 1150.
+    /// Most bytes in a datagram, in both directions; default 1150. Over QUIC the connection says.
     pub datagram_limit: usize,
 }
 
@@ -64,7 +69,22 @@ impl ClientPlan {
     /// A client with both directions of its link alike.
     pub fn new(session: SessionConfig, link: LinkRules) -> ClientPlan {
         let frame = session.tracker.frame;
-        ClientPlan { session, up: link, down: link, frame, phase: None, drift: 0.0, datagram_limit: 1150 }
+        ClientPlan {
+            session,
+            up: link,
+            down: link,
+            up_capacity: Capacity::default(),
+            down_capacity: Capacity::default(),
+            frame,
+            phase: None,
+            drift: 0.0,
+            datagram_limit: 1150,
+        }
+    }
+
+    /// Sets how much the link carries, each way.
+    pub fn with_capacity(self, capacity: Capacity) -> ClientPlan {
+        ClientPlan { up_capacity: capacity.clone(), down_capacity: capacity, ..self }
     }
 
     /// Sets when the first frame is, after the join.
@@ -112,7 +132,6 @@ pub struct Client {
     pub(super) id: SessionId,
     pub(super) clock: OwnClock,
     pub(super) frame: Duration,
-    pub(super) datagram_limit: usize,
     pub(super) connected: bool,
     pub(super) events: Vec<Event>,
     pub(super) closed: Option<String>,

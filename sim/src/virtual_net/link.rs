@@ -6,6 +6,8 @@ use eyeline_protocol::WorldTime;
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
+use super::capacity::{Blocked, Capacity, Line};
+
 /// Which way something goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Direction {
@@ -86,10 +88,34 @@ impl LinkRules {
     }
 }
 
+/// What became of datagrams, those apart that simply arrived once.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkStats {
+    /// Lost by chance.
+    pub lost: u64,
+    /// Lost because the queue was full.
+    pub overflowed: u64,
+    /// Lost in a blackout.
+    pub dark: u64,
+    /// That chance doubled.
+    pub twice: u64,
+}
+
+impl std::ops::AddAssign for LinkStats {
+    fn add_assign(&mut self, other: LinkStats) {
+        self.lost += other.lost;
+        self.overflowed += other.overflowed;
+        self.dark += other.dark;
+        self.twice += other.twice;
+    }
+}
+
 /// One direction of one client's link.
 pub struct VirtualLink {
     rules: LinkRules,
     chance: Pcg64,
+    line: Line,
+    stats: LinkStats,
     /// When the newest control message arrives: none overtakes it.
     control_at: WorldTime,
 }
@@ -104,7 +130,12 @@ const RETRANSMISSION_EXTRA: Duration = Duration::from_millis(30);
 impl VirtualLink {
     /// A link with these rules, which `chance` applies.
     pub fn new(rules: LinkRules, chance: Pcg64) -> VirtualLink {
-        VirtualLink { rules, chance, control_at: WorldTime::MIN }
+        VirtualLink { rules, chance, line: Line::default(), stats: LinkStats::default(), control_at: WorldTime::MIN }
+    }
+
+    /// Limits what it carries; blackouts count from `begin`.
+    pub fn with_capacity(self, capacity: Capacity, begin: WorldTime) -> VirtualLink {
+        VirtualLink { line: Line::new(capacity, begin), ..self }
     }
 
     /// The rules.
@@ -112,16 +143,40 @@ impl VirtualLink {
         self.rules
     }
 
+    /// What became of datagrams so far.
+    pub fn stats(&self) -> &LinkStats {
+        &self.stats
+    }
+
     /// Changes the rules for what is sent from now on.
     pub fn set_rules(&mut self, rules: LinkRules) {
         self.rules = rules;
     }
 
-    /// Decides on a datagram, and on its second copy if there is one.
-    pub fn datagram(&mut self) -> (Fate, Option<Fate>) {
+    /// Decides on a datagram of `bytes` bytes that is sent at `now`, and on its second copy if there is one.
+    pub fn datagram(&mut self, bytes: usize, now: WorldTime) -> (Fate, Option<Fate>) {
+        // Drawn even if the line is blocked, so that a blackout leaves the decisions after it as they were.
         let first = self.fate();
         let is_twice = self.is(self.rules.duplicate);
-        (first, is_twice.then(|| self.fate()))
+        let second = is_twice.then(|| self.fate());
+        let wait = match self.line.take(bytes, now) {
+            Ok(wait) => wait,
+            Err(Blocked::Dark) => {
+                self.stats.dark += 1;
+                return (Fate::Drop, None);
+            }
+            Err(Blocked::Full) => {
+                self.stats.overflowed += 1;
+                return (Fate::Drop, None);
+            }
+        };
+        self.stats.lost += u64::from(first == Fate::Drop);
+        self.stats.twice += u64::from(is_twice);
+        let later = |fate| match fate {
+            Fate::Deliver(delay) => Fate::Deliver(wait + delay),
+            Fate::Drop => Fate::Drop,
+        };
+        (later(first), second.map(later))
     }
 
     fn fate(&mut self) -> Fate {
@@ -141,8 +196,14 @@ impl VirtualLink {
     pub fn control(&mut self, bytes: usize, now: WorldTime) -> (WorldTime, u32) {
         let mut lost = 0;
         let retransmission = 2 * self.rules.unhindered_max() + RETRANSMISSION_EXTRA;
-        for _ in 0..bytes.div_ceil(PACKET_BYTES).max(1) {
-            let mut arrives = now + self.delay();
+        for packet in 0..bytes.div_ceil(PACKET_BYTES).max(1) {
+            let mut sent = now;
+            while let Some(end) = self.line.dark_until(sent) {
+                sent = end + retransmission;
+                lost += 1;
+            }
+            let size = (bytes - packet * PACKET_BYTES).min(PACKET_BYTES);
+            let mut arrives = sent + self.line.wait(size, sent) + self.delay();
             while self.is(self.rules.loss.min(LOSS_MAX)) {
                 arrives = arrives + retransmission;
                 lost += 1;
@@ -180,7 +241,7 @@ mod tests {
         let mut link = link(rules);
         let (mut lost, mut twice) = (0, 0);
         for _ in 0..10_000 {
-            let (first, second) = link.datagram();
+            let (first, second) = link.datagram(100, WorldTime::ZERO);
             lost += i32::from(first == Fate::Drop);
             twice += i32::from(second.is_some());
         }
@@ -196,7 +257,9 @@ mod tests {
             let mut link = link(rules);
             let mut longest = Duration::ZERO;
             for _ in 0..1_000 {
-                let (Fate::Deliver(delay), None) = link.datagram() else { panic!("nothing is lost or doubled here") };
+                let (Fate::Deliver(delay), None) = link.datagram(100, WorldTime::ZERO) else {
+                    panic!("nothing is lost or doubled here")
+                };
                 assert!((rules.delay..=rules.one_way_max()).contains(&delay), "{delay:?}");
                 longest = longest.max(delay);
             }

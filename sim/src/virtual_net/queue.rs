@@ -12,7 +12,7 @@ struct Entry<T> {
 }
 
 /// Events, earliest first; those of one instant in the order in which they were pushed.
-pub(super) struct Queue<T> {
+pub(crate) struct Queue<T> {
     entries: BinaryHeap<Reverse<Entry<T>>>,
     pushed: u64,
 }
@@ -25,6 +25,11 @@ impl<T> Queue<T> {
     pub fn push(&mut self, at: WorldTime, event: T) {
         self.entries.push(Reverse(Entry { at, number: self.pushed, event }));
         self.pushed += 1;
+    }
+
+    /// When the earliest event is due.
+    pub fn next_at(&self) -> Option<WorldTime> {
+        self.entries.peek().map(|Reverse(entry)| entry.at)
     }
 
     /// The earliest event, if it is due by `end`.

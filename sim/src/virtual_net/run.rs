@@ -1,115 +1,57 @@
 //! The run itself: takes the next event, feeds a core, and puts what the core says on its way.
 
+mod wire;
+
 use std::time::Duration;
 
-use eyeline_client::session::{Event as SessionEvent, FrameTime, IndexMaker, Session};
+use eyeline_client::session::{Event as SessionEvent, IndexMaker, Session};
 use eyeline_protocol::WorldTime;
-use eyeline_server::world::{SessionId, Transmit, World};
-use glam::DVec3;
+use eyeline_server::world::{SessionId, World};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use super::client::{Client, ClientDriver, ClientPlan, OwnClock, Pose};
-use super::link::{Direction, Fate, Kind, VirtualLink};
+use super::link::{Direction, Kind, VirtualLink};
+use super::observer::{Framed, Ignore, Observer, Passing, Verdict};
 use super::queue::Queue;
-
-/// Something on its way, or at its end.
-#[derive(Clone, Copy, Debug)]
-pub struct Passing<'a> {
-    /// The client at one end, by its number in the run.
-    pub client: usize,
-    /// Which way it goes.
-    pub direction: Direction,
-    /// How it goes.
-    pub kind: Kind,
-    /// A datagram, or a control message without its length prefix.
-    pub bytes: &'a [u8],
-    /// True world time: of sending for an interceptor, of arrival or loss for an observer.
-    pub at: WorldTime,
-}
-
-/// What an interceptor decides about a datagram.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
-    /// The link's rules decide.
-    AsRuled,
-    /// This happens instead.
-    Instead(Fate),
-    /// It arrives twice, after these times.
-    Twice(Duration, Duration),
-}
-
-/// A client's frame, after its session took it.
-pub struct Framed<'a> {
-    /// Which client, by its number in the run.
-    pub client: usize,
-    /// Its session.
-    pub session: &'a Session,
-    /// What the frame was made with; `None` until the client knows the server's time.
-    pub time: Option<FrameTime>,
-    /// Its eye, if it looks at anything.
-    pub eye: Option<DVec3>,
-    /// True world time.
-    pub at: WorldTime,
-    /// The world: the truth.
-    pub world: &'a World,
-}
-
-/// Watches a run. Knows everything, changes nothing.
-pub trait Observer {
-    /// The world has committed a tick. `at` is true world time, later than the tick if that came late.
-    fn committed(&mut self, world: &World, at: WorldTime) {
-        let _ = (world, at);
-    }
-
-    /// A client has made a frame.
-    fn framed(&mut self, frame: &Framed<'_>) {
-        let _ = frame;
-    }
-
-    /// A message arrives; its receiver has not seen it yet.
-    fn arrives(&mut self, message: &Passing<'_>) {
-        let _ = message;
-    }
-
-    /// A datagram gets lost for good, or a packet of a control message, which only delays that.
-    fn lost(&mut self, message: &Passing<'_>) {
-        let _ = message;
-    }
-}
-
-/// Watches nothing.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Ignore;
-
-impl Observer for Ignore {}
+use super::transport::{Direct, Transport};
+use crate::quic_net::QuicNet;
 
 enum Event {
     Tick,
     Frame(usize),
-    Arrives {
+    /// A packet arrives.
+    Packet {
         client: usize,
         direction: Direction,
-        kind: Kind,
         bytes: Vec<u8>,
     },
-    /// The server's end of the connection is closed, and the client learns of it.
-    Closed {
+    /// A control message arrives that the link itself has carried.
+    Control {
         client: usize,
-        reason: String,
+        direction: Direction,
+        message: Vec<u8>,
     },
-    /// The client's end is closed, and the server learns of it.
-    Gone {
+    /// A transport's timer.
+    Wake {
         client: usize,
+        direction: Direction,
+    },
+    /// The end that this leads to learns that the other one is closed.
+    Over {
+        client: usize,
+        direction: Direction,
+        reason: String,
     },
 }
 
-/// Decides about datagrams before the rules do.
+/// Decides about packets before the rules do.
 type Interceptor = Box<dyn FnMut(&Passing<'_>) -> Verdict>;
 
 /// A world and its clients over a simulated network, in virtual time.
 pub struct VirtualRun {
     world: World,
+    transport: Box<dyn Transport>,
     clients: Vec<Client>,
     queue: Queue<Event>,
     now: WorldTime,
@@ -127,12 +69,27 @@ const FNV: (u64, u64) = (0xcbf2_9ce4_8422_2325, 0x0000_0100_0000_01b3);
 
 impl VirtualRun {
     /// Runs `world`, whose next tick is at its `poll_timeout`, from `now` on. `seed` decides everything that is left to
-    /// chance.
+    /// chance. Each datagram is a packet, and the control stream costs no packets.
     pub fn new(world: World, seed: u64, now: WorldTime) -> VirtualRun {
+        VirtualRun::with_transport(world, Box::new(Direct::default()), seed, now)
+    }
+
+    /// The same over QUIC: handshakes, loss recovery and congestion control included, with the settings of the real
+    /// server and client.
+    ///
+    /// # Errors
+    /// If TLS can't be set up.
+    pub fn over_quic(world: World, seed: u64, now: WorldTime) -> anyhow::Result<VirtualRun> {
+        let transport = QuicNet::new(seed, now)?;
+        Ok(VirtualRun::with_transport(world, Box::new(transport), seed, now))
+    }
+
+    fn with_transport(world: World, transport: Box<dyn Transport>, seed: u64, now: WorldTime) -> VirtualRun {
         let mut queue = Queue::new();
         queue.push(world.poll_timeout(), Event::Tick);
         VirtualRun {
             world,
+            transport,
             clients: Vec::new(),
             queue,
             now,
@@ -155,46 +112,68 @@ impl VirtualRun {
         // Anything from a minute to a day: a process's clock says nothing to anybody else.
         let base_micros = own.random_range(60_000_000..86_400_000_000);
         let clock = OwnClock { zero: self.now, base_micros, drift: plan.drift };
-        let id = self.world.connect(self.now);
-        self.world.handle_datagram_limit(id, plan.datagram_limit);
+        self.transport.connect(client, &plan, self.now);
         self.clients.push(Client {
             session: Session::new(plan.session, index),
             driver,
-            up: VirtualLink::new(plan.up, stream(1)),
-            down: VirtualLink::new(plan.down, stream(2)),
-            id,
+            up: VirtualLink::new(plan.up, stream(1)).with_capacity(plan.up_capacity, self.now),
+            down: VirtualLink::new(plan.down, stream(2)).with_capacity(plan.down_capacity, self.now),
+            // Until the server knows of it.
+            id: SessionId(0),
             clock,
             frame: plan.frame,
-            datagram_limit: plan.datagram_limit,
             connected: true,
             events: Vec::new(),
             closed: None,
             early: Vec::new(),
         });
         self.queue.push(self.now + phase, Event::Frame(client));
-        self.send_control(client, &mut Ignore);
+        self.send_control(client);
+        self.pump(&mut Ignore);
         client
     }
 
-    /// The client's end of the connection goes, without a word; the server learns of it a delay later.
+    /// The client's end of the connection goes; the server learns of it a delay later.
     pub fn cut(&mut self, client: usize) {
+        self.hang_up(client);
+        self.pump(&mut Ignore);
+    }
+
+    fn hang_up(&mut self, client: usize) {
         if std::mem::replace(&mut self.clients[client].connected, false) {
-            let (at, _) = self.clients[client].up.control(1, self.now);
-            self.queue.push(at, Event::Gone { client });
+            self.transport.close(client, Direction::Up, "gone", self.now);
         }
     }
 
     /// Sends these bytes as if the client's session had made them; a control message without its length prefix.
     pub fn send_raw(&mut self, client: usize, kind: Kind, bytes: Vec<u8>, observer: &mut dyn Observer) {
-        self.send(client, Direction::Up, kind, bytes, observer);
+        match kind {
+            Kind::Datagram => self.transport.send_datagram(client, Direction::Up, bytes),
+            Kind::Control => {
+                let length = u32::try_from(bytes.len()).unwrap_or(u32::MAX).to_le_bytes();
+                self.transport.send_control(client, Direction::Up, &[&length[..], &bytes].concat());
+            }
+        }
+        self.pump(observer);
     }
 
-    /// Lets `interceptor` decide about datagrams before the rules do.
+    /// Has a packet arrive now that the peer never sent: somebody else's, or the peer's own of long ago.
+    pub fn inject(&mut self, client: usize, direction: Direction, bytes: Vec<u8>) {
+        self.queue.push(self.now, Event::Packet { client, direction, bytes });
+    }
+
+    /// Sets a client's own clock forward, or back.
+    pub fn jump_clock(&mut self, client: usize, micros: i64) {
+        let base = &mut self.clients[client].clock.base_micros;
+        *base = base.saturating_add(micros);
+    }
+
+    /// Lets `interceptor` decide about packets before the rules do: datagrams, or over QUIC what has been made of them.
     pub fn intercept(&mut self, interceptor: impl FnMut(&Passing<'_>) -> Verdict + 'static) {
         self.interceptor = Some(Box::new(interceptor));
     }
 
-    /// Leaves all datagrams to the rules again.
+    /// Leaves all packets to the rules again.
     pub fn intercept_nothing(&mut self) {
         self.interceptor = None;
     }
@@ -223,32 +202,23 @@ impl VirtualRun {
         match event {
             Event::Tick => self.tick(observer),
             Event::Frame(client) => self.frame(client, observer),
-            Event::Arrives { client, direction, kind, bytes } => {
-                let passing = Passing { client, direction, kind, bytes: &bytes, at: self.now };
-                self.note(&passing);
-                observer.arrives(&passing);
-                match direction {
-                    Direction::Up => self.arrives_at_server(client, kind, &bytes),
-                    Direction::Down => self.arrives_at_client(client, kind, &bytes, observer),
-                }
-                self.drain_world(observer);
+            Event::Packet { client, direction, bytes } => {
+                self.transport.handle_packet(client, direction, bytes, self.now);
             }
-            Event::Closed { client, reason } => {
-                self.clients[client].connected = false;
-                self.clients[client].closed = Some(reason);
+            Event::Control { client, direction, message } => {
+                self.arrives(client, direction, Kind::Control, &message, observer);
             }
-            Event::Gone { client } => {
-                self.world.disconnect(self.clients[client].id);
-                self.drain_world(observer);
-            }
+            Event::Wake { client, direction } => self.transport.handle_wake(client, direction, self.now),
+            Event::Over { client, direction, reason } => self.over(client, direction, reason),
         }
+        self.drain_world();
+        self.pump(observer);
     }
 
     fn tick(&mut self, observer: &mut dyn Observer) {
         // A `with_world` call may have moved the tick; a stale event then finds nothing due.
         self.world.tick(self.now);
         observer.committed(&self.world, self.now);
-        self.drain_world(observer);
         let due = self.world.poll_timeout();
         let at = (due + (self.lateness)(due)).max(self.now);
         self.queue.push(at, Event::Tick);
@@ -277,12 +247,10 @@ impl VirtualRun {
         client.driver.frame_done(&mut client.session, time, now);
         let framed = Framed { client: number, session: &client.session, time, eye, at: now, world: &self.world };
         observer.framed(&framed);
-        self.send_control(number, observer);
-        while let Some(bytes) = {
-            let client = &mut self.clients[number];
-            client.session.poll_datagram(client.datagram_limit, local)
-        } {
-            self.send(number, Direction::Up, Kind::Datagram, bytes, observer);
+        self.send_control(number);
+        let Some(limit) = self.transport.datagram_limit(number) else { return };
+        while let Some(bytes) = self.clients[number].session.poll_datagram(limit, local) {
+            self.transport.send_datagram(number, Direction::Up, bytes);
         }
     }
 
@@ -294,7 +262,7 @@ impl VirtualRun {
         }
     }
 
-    fn arrives_at_client(&mut self, number: usize, kind: Kind, bytes: &[u8], observer: &mut dyn Observer) {
+    fn arrives_at_client(&mut self, number: usize, kind: Kind, bytes: &[u8]) {
         let client = &mut self.clients[number];
         if !client.connected {
             return;
@@ -322,32 +290,14 @@ impl VirtualRun {
             client.events.push(event);
         }
         // As the QUIC shell does: questions that an answer raised leave at once, the rest with the next frame.
-        while let Some(bytes) = {
-            let client = &mut self.clients[number];
-            client.session.poll_urgent(client.datagram_limit, local)
-        } {
-            self.send(number, Direction::Up, Kind::Datagram, bytes, observer);
-        }
-        self.send_control(number, observer);
-        if is_over {
-            self.cut(number);
-        }
-    }
-
-    fn drain_world(&mut self, observer: &mut dyn Observer) {
-        while let Some((id, transmit)) = self.world.poll_transmit(self.now) {
-            let Some(client) = self.client_of(id) else { continue };
-            match transmit {
-                Transmit::Control(bytes) => self.put_control(client, Direction::Down, &bytes, observer),
-                Transmit::Datagram(bytes) => self.send(client, Direction::Down, Kind::Datagram, bytes, observer),
-                // The model is not part of a virtual run: its clients have it.
-                Transmit::WorldBytes => {}
-                Transmit::Close(reason) => {
-                    let (at, _) = self.clients[client].down.control(1, self.now);
-                    self.queue.push(at, Event::Closed { client, reason });
-                    self.world.disconnect(id);
-                }
+        if let Some(limit) = self.transport.datagram_limit(number) {
+            while let Some(bytes) = self.clients[number].session.poll_urgent(limit, local) {
+                self.transport.send_datagram(number, Direction::Up, bytes);
             }
+        }
+        self.send_control(number);
+        if is_over {
+            self.hang_up(number);
         }
     }
 
@@ -355,65 +305,10 @@ impl VirtualRun {
         self.clients.iter().position(|client| client.id == id)
     }
 
-    fn send_control(&mut self, client: usize, observer: &mut dyn Observer) {
+    fn send_control(&mut self, client: usize) {
         while let Some(bytes) = self.clients[client].session.poll_control() {
-            self.put_control(client, Direction::Up, &bytes, observer);
+            self.transport.send_control(client, Direction::Up, &bytes);
         }
-    }
-
-    /// Puts a control message with its prefix on its way.
-    fn put_control(&mut self, client: usize, direction: Direction, bytes: &[u8], observer: &mut dyn Observer) {
-        let message = bytes.get(4..).unwrap_or_default().to_vec();
-        self.send(client, direction, Kind::Control, message, observer);
-    }
-
-    fn send(&mut self, client: usize, direction: Direction, kind: Kind, bytes: Vec<u8>, observer: &mut dyn Observer) {
-        if kind == Kind::Control {
-            let now = self.now;
-            let (at, lost) = self.link(client, direction).control(bytes.len() + 4, now);
-            for _ in 0..lost {
-                observer.lost(&Passing { client, direction, kind, bytes: &bytes, at: now });
-            }
-            return self.queue.push(at, Event::Arrives { client, direction, kind, bytes });
-        }
-        let passing = Passing { client, direction, kind, bytes: &bytes, at: self.now };
-        let verdict = self.interceptor.as_mut().map_or(Verdict::AsRuled, |interceptor| interceptor(&passing));
-        // Drawn whatever the verdict, so that an interception changes nothing else.
-        let ruled = self.link(client, direction).datagram();
-        let (first, second) = match verdict {
-            Verdict::AsRuled => ruled,
-            Verdict::Instead(fate) => (fate, None),
-            Verdict::Twice(first, second) => (Fate::Deliver(first), Some(Fate::Deliver(second))),
-        };
-        if first == Fate::Drop && !matches!(second, Some(Fate::Deliver(_))) {
-            observer.lost(&Passing { client, direction, kind, bytes: &bytes, at: self.now });
-        }
-        for fate in [Some(first), second].into_iter().flatten() {
-            if let Fate::Deliver(delay) = fate {
-                self.queue.push(self.now + delay, Event::Arrives { client, direction, kind, bytes: bytes.clone() });
-            }
-        }
-    }
-
-    fn link(&mut self, client: usize, direction: Direction) -> &mut VirtualLink {
-        match direction {
-            Direction::Up => &mut self.clients[client].up,
-            Direction::Down => &mut self.clients[client].down,
-        }
-    }
-
-    /// Takes an arrival into the digest.
-    fn note(&mut self, message: &Passing<'_>) {
-        self.messages += 1;
-        let mut eat = |bytes: &[u8]| {
-            for &byte in bytes {
-                self.digest = (self.digest ^ u64::from(byte)).wrapping_mul(FNV.1);
-            }
-        };
-        eat(&message.at.micros().to_le_bytes());
-        eat(&(message.client as u32).to_le_bytes());
-        eat(&[message.direction as u8, message.kind as u8]);
-        eat(message.bytes);
     }
 
     /// True world time.
@@ -429,7 +324,8 @@ impl VirtualRun {
     /// Does something to the world, and sends what comes of it.
     pub fn with_world<R>(&mut self, observer: &mut dyn Observer, act: impl FnOnce(&mut World, WorldTime) -> R) -> R {
         let result = act(&mut self.world, self.now);
-        self.drain_world(observer);
+        self.drain_world();
+        self.pump(observer);
         result
     }
 
@@ -441,6 +337,11 @@ impl VirtualRun {
     /// One client.
     pub fn client_mut(&mut self, client: usize) -> &mut Client {
         &mut self.clients[client]
+    }
+
+    /// A client's UDP datagrams and bytes so far: sent, sent bytes, received, received bytes. `None` without QUIC.
+    pub fn udp(&self, client: usize) -> Option<[u64; 4]> {
+        self.transport.udp(client)
     }
 
     /// Hash of everything that arrived so far: time, client, direction and bytes. Equal runs have equal digests.

@@ -1,6 +1,9 @@
 //! Whole-system scenarios in virtual time. Each name is a claim.
 
+mod hostile;
 mod network;
 mod promises;
+mod quic_time;
 mod seeds;
+mod village;
 mod walls;

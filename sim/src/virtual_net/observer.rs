@@ -1,0 +1,81 @@
+//! Who watches a run, and what it gets to see: everything that is on its way, every commit, every frame.
+
+use std::time::Duration;
+
+use eyeline_client::session::{FrameTime, Session};
+use eyeline_protocol::WorldTime;
+use eyeline_server::world::World;
+use glam::DVec3;
+
+use super::link::{Direction, Fate, Kind};
+
+/// Something on its way, or at its end.
+#[derive(Clone, Copy, Debug)]
+pub struct Passing<'a> {
+    /// The client at one end, by its number in the run.
+    pub client: usize,
+    /// Which way it goes.
+    pub direction: Direction,
+    /// How it goes.
+    pub kind: Kind,
+    /// A datagram, or a control message without its length prefix.
+    pub bytes: &'a [u8],
+    /// True world time: of sending for an interceptor, of arrival or loss for an observer.
+    pub at: WorldTime,
+}
+
+/// What an interceptor decides about a datagram.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// The link's rules decide.
+    AsRuled,
+    /// This happens instead.
+    Instead(Fate),
+    /// It arrives twice, after these times.
+    Twice(Duration, Duration),
+}
+
+/// A client's frame, after its session took it.
+pub struct Framed<'a> {
+    /// Which client, by its number in the run.
+    pub client: usize,
+    /// Its session.
+    pub session: &'a Session,
+    /// What the frame was made with; `None` until the client knows the server's time.
+    pub time: Option<FrameTime>,
+    /// Its eye, if it looks at anything.
+    pub eye: Option<DVec3>,
+    /// True world time.
+    pub at: WorldTime,
+    /// The world: the truth.
+    pub world: &'a World,
+}
+
+/// Watches a run. Knows everything, changes nothing.
+pub trait Observer {
+    /// The world has committed a tick. `at` is true world time, later than the tick if that came late.
+    fn committed(&mut self, world: &World, at: WorldTime) {
+        let _ = (world, at);
+    }
+
+    /// A client has made a frame.
+    fn framed(&mut self, frame: &Framed<'_>) {
+        let _ = frame;
+    }
+
+    /// A message arrives; its receiver has not seen it yet.
+    fn arrives(&mut self, message: &Passing<'_>) {
+        let _ = message;
+    }
+
+    /// A datagram gets lost for good, or a packet of a control message, which only delays that.
+    fn lost(&mut self, message: &Passing<'_>) {
+        let _ = message;
+    }
+}
+
+/// Watches nothing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Ignore;
+
+impl Observer for Ignore {}
