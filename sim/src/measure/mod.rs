@@ -15,6 +15,7 @@ use std::time::Duration;
 
 use eyeline_client::session::{Session, SessionConfig};
 use eyeline_client::tracking::{Growth, Sabotage, TrackerConfig};
+use eyeline_server::policy::PolicySettings;
 use eyeline_server::world::WorldConfig;
 use eyeline_visibility::Resolution;
 
@@ -68,6 +69,8 @@ pub struct MeasureConfig {
     pub staged: bool,
     /// Deliberate damage to the trackers.
     pub sabotage: Option<Sabotage>,
+    /// Settings of the policies that have some.
+    pub policy: PolicySettings,
 }
 
 impl Default for MeasureConfig {
@@ -88,6 +91,7 @@ impl Default for MeasureConfig {
             linger_frames: 2,
             staged: true,
             sabotage: None,
+            policy: PolicySettings::default(),
         }
     }
 }
