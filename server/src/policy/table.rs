@@ -189,6 +189,14 @@ impl PvsTable {
         after > 0 && to - row[after - 1].0 < row[after - 1].1
     }
 
+    /// Mean share of all cells that a cell sees, 0 to 1, of those that do not see everything.
+    pub fn share_seen(&self) -> f64 {
+        let cells = self.grid.cells();
+        let seen = (0..cells).map(|cell| self.row(cell).iter().map(|run| run.1).sum::<u32>());
+        let known: Vec<u32> = seen.filter(|&seen| seen < cells).collect();
+        known.iter().map(|&seen| f64::from(seen)).sum::<f64>() / known.len().max(1) as f64 / f64::from(cells)
+    }
+
     /// Whether it was baked for this world.
     ///
     /// # Errors

@@ -142,7 +142,8 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim measure --rooms 16x16 --clients 64 --net sim --rtt 50 --jitter 10 --loss 0.02
   eyeline-sim measure --policies visible --sabotage drop-exposures      (must show misses)";
 
-fn columns_by_rows(text: &str) -> Result<(u32, u32), String> {
+/// The value of `--rooms`.
+pub fn columns_by_rows(text: &str) -> Result<(u32, u32), String> {
     let rooms = pair(text).filter(|&(columns, rows)| (1..=200).contains(&columns) && (1..=200).contains(&rows));
     rooms.ok_or_else(|| "give columns and rows from 1 to 200, as in 10x10".to_owned())
 }
