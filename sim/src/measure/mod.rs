@@ -4,6 +4,7 @@
 //! the truth is computed for those and compared. *Late* is judged by the promise (DESIGN §3.3): an object is drawn at most
 //! one path round trip, one server turnaround and one frame after it first owned a pixel.
 
+mod fit;
 mod log;
 mod quic;
 pub mod report;
@@ -19,6 +20,7 @@ use eyeline_server::policy::PolicySettings;
 use eyeline_server::world::WorldConfig;
 use eyeline_visibility::Resolution;
 
+pub use fit::{Fit, fit};
 pub use log::{Bursts, ClientLog, Commit, FrameLog, Known, ObjectInfo, RunLog};
 pub use row::{MeasureRow, columns};
 pub use truth::{Truth, judge};
