@@ -173,14 +173,20 @@ impl Baker<'_> {
         let (low, high) = self.grid.corners(at, at);
         let middle = (low + high) * 0.5;
         let mut eyes = self.spawns.get(&column).cloned().unwrap_or_default();
-        for _ in 0..self.config.samples {
+        let on_border = (f64::from(self.config.samples) * BORDER_SHARE).ceil() as u32;
+        for sample in 0..self.config.samples {
             let mut share = DVec3::new(chance.random(), 0.0, chance.random());
-            let is_border = chance.random::<f64>() < BORDER_SHARE;
-            let side = chance.random_range(0..4);
+            let is_border = sample < on_border;
             if is_border {
-                // Just inside, so that the eye is in this column's cells.
-                let end = if side % 2 == 0 { 1e-6 } else { 1.0 - 1e-6 };
-                if side < 2 { share.x = end } else { share.z = end }
+                // Evenly around the border, each somewhere in its piece; just inside, so that the eye is in this column.
+                let around = (f64::from(sample) + share.x) / f64::from(on_border) * 4.0;
+                let along = around.fract().clamp(1e-6, 1.0 - 1e-6);
+                (share.x, share.z) = match around as u32 {
+                    0 => (along, 1e-6),
+                    1 => (1.0 - 1e-6, along),
+                    2 => (along, 1.0 - 1e-6),
+                    _ => (1e-6, along),
+                };
             }
             let place = low + (high - low) * share;
             let steps = if is_border { INWARD_STEPS } else { 1 };
