@@ -6,6 +6,7 @@ use anyhow::Context;
 use eyeline_protocol::WorldTime;
 use eyeline_server::model::Model;
 use eyeline_server::net::{Identity, Server, WorldClock};
+use eyeline_server::policy::PolicySettings;
 use eyeline_server::world::WorldConfig;
 
 #[tokio::main(flavor = "current_thread")]
@@ -16,7 +17,7 @@ async fn main() -> anyhow::Result<()> {
     // The world is a state machine; a policy decides what each client is told.
     let clock = WorldClock::starting_at(WorldTime::ZERO);
     let config = WorldConfig::default().with_blur(2.0);
-    let world = model.world(config, "visible", clock.now())?;
+    let world = model.world(config, "visible", &PolicySettings::default(), clock.now())?;
 
     // The server puts sockets and a clock around it.
     let identity = Identity::ephemeral()?;

@@ -5,6 +5,7 @@ use std::io::{IsTerminal as _, Write as _};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
@@ -15,15 +16,30 @@ use eyeline_protocol::WorldTime;
 
 use crate::model::{Model, POLICIES};
 use crate::net::{Handle, Identity, Server, WorldClock};
+use crate::policy::{PolicySettings, PvsTable};
 use crate::world::WorldConfig;
 
 /// Everything about serving but the world itself.
 #[derive(Args, Clone, Debug)]
 pub struct ServeOptions {
     /// Whom a client is told about: `visible` (only what it could see: it holds bounds and asks), `broadcast`
-    /// (everything), `oracle` (exactly what it sees; the server culls, so it costs much CPU)
+    /// (everything), `oracle` (exactly what it sees; the server culls, so it costs much CPU), `radius` (what is within
+    /// --radius), `grid` (what is in its own square of --cell metres and the eight around it), `pvs` (what is in a cell that
+    /// may be seen from its own, by the table --pvs)
     #[arg(long, default_value = "visible", value_parser = PossibleValuesParser::new(POLICIES), hide_possible_values = true)]
     pub policy: String,
+
+    /// For the policy `radius`: how far from the eye an object is told of, metres; a tenth farther it is withdrawn
+    #[arg(long, value_name = "METRES", default_value_t = PolicySettings::default().radius, value_parser = number(0.01..=1e7, "m"))]
+    pub radius: f64,
+
+    /// For the policy `grid`: side of a square, metres
+    #[arg(long, value_name = "METRES", default_value_t = PolicySettings::default().cell, value_parser = number(0.01..=1e7, "m"))]
+    pub cell: f64,
+
+    /// For the policy `pvs`: the table of potential visibility, which `eyeline-sim bake` makes for a model
+    #[arg(long, value_name = "FILE", required_if_eq("policy", "pvs"))]
+    pub pvs: Option<PathBuf>,
 
     /// UDP address and port to listen on; port 0 lets the system choose
     #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:4433")]
@@ -88,7 +104,11 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         .with_grid_seed(grid_seed)
         .with_avatars_max(options.max_avatars as usize);
     let clock = WorldClock::starting_at(unix_time());
-    let world = model.world(config, &options.policy, clock.now())?;
+    let mut settings = PolicySettings::default().with_radius(options.radius).with_cell(options.cell);
+    if let Some(path) = &options.pvs {
+        settings = settings.with_pvs(Arc::new(PvsTable::read(path)?));
+    }
+    let world = model.world(config, &options.policy, &settings, clock.now())?;
     let identity = Identity::load_or_create(&options.identity)?;
     let fingerprint = identity.fingerprint_hex();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -97,7 +117,7 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         let bytes = Bytes::from_owner(model.bytes.clone());
         let server = Server::bind(options.listen, identity, world, bytes, clock, None)?;
         let address = server.local_addr()?;
-        let mut text = describe(options, &model, notes);
+        let mut text = describe(options, &model, &settings, notes);
         let _ = writeln!(text, "listening    {address} (QUIC over UDP); Ctrl-C ends it");
         let _ = writeln!(text, "fingerprint  {fingerprint}");
         print(&text);
@@ -112,7 +132,7 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
 }
 
 /// What is served, and how: the lines that a server begins with.
-fn describe(options: &ServeOptions, model: &Model, notes: &[String]) -> String {
+fn describe(options: &ServeOptions, model: &Model, settings: &PolicySettings, notes: &[String]) -> String {
     let spec = &model.spec;
     let hash: String = model.info.hash.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
     let moving = spec.objects.iter().filter(|object| object.path.is_some()).count();
@@ -128,10 +148,16 @@ fn describe(options: &ServeOptions, model: &Model, notes: &[String]) -> String {
     let how = match options.policy.as_str() {
         "visible" => "clients hold bounds of what is hidden, and ask for what is exposed",
         "broadcast" => "every client is told everything",
+        "radius" => "a client is told of what is near it",
+        "grid" => "a client is told of what is in its square of the plan and the eight around it",
+        "pvs" => "a client is told of what is in a cell that may be seen from its own; sampled, so it may miss",
         _ => "the server culls, and tells each client exactly what it sees",
     };
+    let setting = settings.describe(&options.policy);
+    let setting = if setting.is_empty() { setting } else { format!(" ({setting})") };
     let tick_ms = 1e3 / options.tick_hz;
-    let _ = writeln!(text, "plan         {}: {how}; tick {tick_ms} ms, blur {} m", options.policy, options.blur);
+    let (policy, blur) = (&options.policy, options.blur);
+    let _ = writeln!(text, "plan         {policy}: {how}{setting}; tick {tick_ms} ms, blur {blur} m");
     text
 }
 

@@ -10,7 +10,7 @@ use glam::DVec3;
 use serde::Deserialize;
 
 use crate::hash::sha256;
-use crate::policy::{Broadcast, ExactSight, Meshes, Oracle, Policy, Visible};
+use crate::policy::{ExactSight, Meshes, Oracle, Policy, PolicyError, PolicySettings, Visible};
 use crate::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, WorldSpec};
 use crate::world::{World, WorldConfig, WorldError};
 
@@ -155,22 +155,27 @@ impl Model {
     /// A world of this model under the policy of this name, one of [`POLICIES`], whose first tick is at `now`.
     ///
     /// # Errors
-    /// If there is no such policy, or the world contradicts itself.
-    pub fn world(&self, config: WorldConfig, policy: &str, now: WorldTime) -> Result<World, StartError> {
+    /// If there is no such policy, its settings are of no use here, or the world contradicts itself.
+    pub fn world(
+        &self,
+        config: WorldConfig,
+        policy: &str,
+        settings: &PolicySettings,
+        now: WorldTime,
+    ) -> Result<World, StartError> {
         let under =
             |policy| World::new(config.clone(), self.spec.clone(), self.info.clone(), self.scene.anchor(), policy, now);
-        let policy: Box<dyn Policy> = match policy {
-            "visible" => Box::new(Visible),
-            "broadcast" => Box::new(Broadcast),
-            "oracle" => {
+        let made: Box<dyn Policy> = match settings.policy(policy, &self.info)? {
+            Some(made) => made,
+            None if policy == "oracle" => {
                 // The classes are the world's, which is made twice for them; it is cheap without an oracle.
                 let classes = under(Box::new(Visible))?.classes().to_vec();
                 let meshes = Arc::new(self.meshes(&classes[0]));
                 Box::new(Oracle::new(Box::new(ExactSight::new(self.scene.clone(), meshes, classes))))
             }
-            other => return Err(StartError::Policy(other.to_owned())),
+            None => return Err(StartError::Policy(policy.to_owned())),
         };
-        Ok(under(policy)?)
+        Ok(under(made)?)
     }
 
     /// The meshes of what moves; `avatar` is the class of avatars.
@@ -185,7 +190,7 @@ impl Model {
 }
 
 /// The interest policies that a world can be run under.
-pub const POLICIES: [&str; 3] = ["visible", "broadcast", "oracle"];
+pub const POLICIES: [&str; 6] = ["visible", "broadcast", "oracle", "radius", "grid", "pvs"];
 
 /// Why a model can't be run.
 #[derive(Debug, thiserror::Error)]
@@ -193,6 +198,9 @@ pub enum StartError {
     /// No such policy.
     #[error("'{0}' is no policy; there are {all}", all = POLICIES.join(", "))]
     Policy(String),
+    /// The policy's settings are of no use.
+    #[error(transparent)]
+    Settings(#[from] PolicyError),
     /// The world contradicts itself.
     #[error(transparent)]
     World(#[from] WorldError),

@@ -1,5 +1,6 @@
 //! Scenes, motion, measurement and reports.
 
+pub mod bake;
 pub mod cull;
 pub mod demo;
 pub mod measure;

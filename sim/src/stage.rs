@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicU64;
 use anyhow::Context;
 use eyeline_protocol::{Class, WorldTime};
 use eyeline_server::model::Model;
-use eyeline_server::policy::Meshes;
+use eyeline_server::policy::{Meshes, PolicySettings};
 use eyeline_server::spec::SpawnSpec;
 use eyeline_server::world::{World, WorldConfig};
 use eyeline_visibility::AllRound;
@@ -136,9 +136,15 @@ impl Stage {
     /// A world under the policy of this name.
     ///
     /// # Errors
-    /// If there is no such policy, or the world contradicts itself.
-    pub fn world(&self, config: WorldConfig, policy: &str, now: WorldTime) -> anyhow::Result<World> {
-        Ok(self.model.world(config, policy, now)?)
+    /// If there is no such policy, its settings are of no use here, or the world contradicts itself.
+    pub fn world(
+        &self,
+        config: WorldConfig,
+        policy: &str,
+        settings: &PolicySettings,
+        now: WorldTime,
+    ) -> anyhow::Result<World> {
+        Ok(self.model.world(config, policy, settings, now)?)
     }
 
     /// The meshes of what moves; `avatar` is the class of avatars.

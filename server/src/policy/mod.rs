@@ -2,20 +2,36 @@
 //! packing, so that they compare fairly.
 
 mod broadcast;
+mod cells;
+mod grid;
+#[cfg(test)]
+mod made;
 #[cfg(feature = "audit")]
 mod oracle;
+mod pvs;
+mod radius;
+mod settings;
 #[cfg(feature = "audit")]
 mod sight;
+mod squares;
+mod table;
 mod visible;
 
-use eyeline_protocol::ObjectId;
+use eyeline_protocol::{Class, ObjectId};
 use glam::DVec3;
 
 pub use broadcast::Broadcast;
+pub use cells::{CellGrid, CellSet};
+pub use grid::Grid;
 #[cfg(feature = "audit")]
 pub use oracle::{Oracle, Sight};
+pub use pvs::Pvs;
+pub use radius::Radius;
+use settings::check;
+pub use settings::{PolicyError, PolicySettings};
 #[cfg(feature = "audit")]
 pub use sight::{ExactSight, Meshes};
+pub use table::{PvsError, PvsFacts, PvsTable};
 pub use visible::Visible;
 
 use crate::world::{Object, SessionId};
@@ -41,7 +57,12 @@ pub trait Policy: Send {
         false
     }
 
-    /// A new state has been committed.
+    /// The world begins, with objects of these kinds.
+    fn start(&mut self, classes: &[Class]) {
+        let _ = classes;
+    }
+
+    /// A new state has been committed. [`Policy::interest`] is then called once for each watcher there is.
     fn begin_tick(&mut self, objects: &[Object]) {
         let _ = objects;
     }

@@ -93,7 +93,7 @@ impl World {
         spec: WorldSpec,
         info: WorldInfo,
         anchor: DVec3,
-        policy: Box<dyn Policy>,
+        mut policy: Box<dyn Policy>,
         now: WorldTime,
     ) -> Result<World, WorldError> {
         config.check()?;
@@ -101,6 +101,7 @@ impl World {
             return Err(WorldError::Name { name: info.name });
         }
         let classes = classes(&config, &spec)?;
+        policy.start(&classes);
         let mut objects = Vec::with_capacity(spec.objects.len());
         let paths = paths_of(&spec)?;
         for ((index, entry), path) in spec.objects.iter().enumerate().zip(paths) {

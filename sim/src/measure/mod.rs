@@ -4,6 +4,7 @@
 //! the truth is computed for those and compared. *Late* is judged by the promise (DESIGN §3.3): an object is drawn at most
 //! one path round trip, one server turnaround and one frame after it first owned a pixel.
 
+mod fit;
 mod log;
 mod quic;
 pub mod report;
@@ -19,9 +20,11 @@ use std::time::Duration;
 use eyeline_client::session::{Session, SessionConfig};
 use eyeline_client::tracking::{Growth, Lead, Sabotage, TrackerConfig};
 use eyeline_protocol::Interest;
+use eyeline_server::policy::PolicySettings;
 use eyeline_server::world::WorldConfig;
 use eyeline_visibility::Resolution;
 
+pub use fit::{Fit, fit};
 pub use log::{Bursts, ClientLog, Commit, FrameLog, Known, ObjectInfo, RunLog};
 pub use row::{MeasureRow, columns};
 pub use sweep::{Sweep, SweepKey};
@@ -85,6 +88,8 @@ pub struct MeasureConfig {
     pub interest: Interest,
     /// Deliberate damage to the trackers.
     pub sabotage: Option<Sabotage>,
+    /// Settings of the policies that have some.
+    pub policy: PolicySettings,
 }
 
 impl Default for MeasureConfig {
@@ -108,6 +113,7 @@ impl Default for MeasureConfig {
             lead: Lead::None,
             interest: Interest::Around,
             sabotage: None,
+            policy: PolicySettings::default(),
         }
     }
 }

@@ -5,8 +5,9 @@ use crate::report::{Axis, Comparison, Plot, PlotKind, Point, Report, RowError, R
 use crate::stage::Stage;
 
 /// The columns of the table on the terminal.
-pub const SHORT: [&str; 10] = [
+pub const SHORT: [&str; 11] = [
     "policy",
+    "setting",
     "messages_per_client_s",
     "pushed_per_client_s",
     "hidden_caused_per_client_s",

@@ -13,6 +13,7 @@ use crate::virtual_net::LinkRules;
 #[expect(missing_docs, reason = "each column's meaning is in `columns`, where the report takes it from")]
 pub struct MeasureRow {
     pub policy: String,
+    pub setting: String,
     pub net: &'static str,
     pub clients: usize,
     pub objects: usize,
@@ -86,8 +87,10 @@ pub fn columns() -> Vec<Column> {
         column(
             "policy",
             "",
-            "whom the server tells: visible (ours), broadcast (everybody), oracle (exactly what can be seen, all round)",
+            "whom the server tells: visible (ours), broadcast (everybody), oracle (exactly what can be seen, all round), radius \
+             (what is near), grid (what is in nine squares), pvs (what is in cells that a table has)",
         ),
+        column("setting", "", "what the policy was set to"),
         column(
             "net",
             "",
@@ -216,6 +219,7 @@ pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig, net: &Net
     let ticks_ms: Vec<f64> = log.tick_micros.iter().map(|&micros| f64::from(micros) * 1e-3).collect();
     MeasureRow {
         policy: log.policy.clone(),
+        setting: config.policy.describe(&log.policy),
         net: log.net,
         clients: log.clients.len(),
         objects: log.objects.len(),

@@ -245,7 +245,7 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
 }
 
 /// Draws the committed world from anywhere.
-struct Painter<'a> {
+pub(super) struct Painter<'a> {
     stage: &'a Stage,
     log: &'a RunLog,
     meshes: &'a Meshes,
@@ -270,7 +270,7 @@ const EDGE_PX: f64 = 1.0 / 64.0;
 const TIE: f64 = 1e-5;
 
 impl<'a> Painter<'a> {
-    fn new(stage: &'a Stage, log: &'a RunLog, meshes: &'a Meshes, config: &'a MeasureConfig) -> Painter<'a> {
+    pub(super) fn new(stage: &'a Stage, log: &'a RunLog, meshes: &'a Meshes, config: &'a MeasureConfig) -> Painter<'a> {
         let triangles = stage.model.scene.triangles();
         let clusters = (0..triangles.len())
             .step_by(CLUSTER)
@@ -284,12 +284,18 @@ impl<'a> Painter<'a> {
         Painter { stage, log, meshes, clusters, statics, config, frame: config.frame() }
     }
 
-    fn view(&self, eye: DVec3, yaw: f64) -> View {
+    pub(super) fn view(&self, eye: DVec3, yaw: f64) -> View {
         View::level(eye, yaw, std::f64::consts::FRAC_PI_2, self.config.resolution)
     }
 
     /// Draws everything and counts the pixels that each object owns.
-    fn draw(&self, image: &mut ItemBuffer, view: &View, commit: &Commit, own: ObjectId) -> BTreeMap<ObjectId, u64> {
+    pub(super) fn draw(
+        &self,
+        image: &mut ItemBuffer,
+        view: &View,
+        commit: &Commit,
+        own: ObjectId,
+    ) -> BTreeMap<ObjectId, u64> {
         image.begin(view);
         let triangles = self.stage.model.scene.triangles();
         for (aabb, range) in &self.clusters {
@@ -475,7 +481,7 @@ impl<'a> Painter<'a> {
 const EYES: u32 = 16;
 
 /// Whether a box may meet the view's frustum: false only if it is wholly beyond one of its planes.
-fn may_be_in(view: &View, aabb: &Aabb) -> bool {
+pub(super) fn may_be_in(view: &View, aabb: &Aabb) -> bool {
     if aabb.is_empty() {
         return false;
     }

@@ -4,6 +4,7 @@
 #![expect(clippy::disallowed_methods)]
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -11,10 +12,12 @@ use clap::{Args, ValueEnum};
 use eyeline_client::tracking::{Growth, Lead, Sabotage};
 use eyeline_protocol::Interest;
 use eyeline_server::app::number;
+use eyeline_server::policy::{PolicySettings, PvsTable};
+use eyeline_sim::bake::{BakeConfig, bake};
 use eyeline_sim::demo::{self, Case};
-use eyeline_sim::measure::{self, MeasureConfig, Net, Sweep, SweepKey};
+use eyeline_sim::measure::{self, MeasureConfig, Net, Sweep, SweepKey, fit};
 use eyeline_sim::scene::plan::RoomsRules;
-use eyeline_sim::stage::{POLICIES, Stage};
+use eyeline_sim::stage::{Crowd, POLICIES, Stage};
 use eyeline_sim::trace::Trace;
 use eyeline_sim::virtual_net::LinkRules;
 use eyeline_visibility::{EyeRegion, Resolution};
@@ -50,10 +53,27 @@ pub struct Measure {
     #[command(flatten)]
     place: Place,
 
-    /// Policies to compare, in this order: visible, broadcast, oracle
+    /// Policies to compare, in this order: visible, broadcast, oracle, radius, grid, pvs
     #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "visible,broadcast,oracle",
         value_parser = POLICIES)]
     policies: Vec<String>,
+
+    /// For the policy radius: how far from the eye an object is told of, metres. auto: the least that misses nobody here, found
+    /// by a run in virtual time
+    #[arg(long, value_name = "METRES|auto", default_value = "auto", value_parser = setting)]
+    radius: Setting,
+
+    /// For the policy radius: how much farther what is told of may go, as a share of the radius
+    #[arg(long, value_name = "SHARE", default_value_t = PolicySettings::default().hysteresis, value_parser = number(0.0..=10.0, ""))]
+    hysteresis: f64,
+
+    /// For the policy grid: side of a square, metres. auto: the least that misses nobody here
+    #[arg(long, value_name = "METRES|auto", default_value = "auto", value_parser = setting)]
+    grid_cell: Setting,
+
+    /// For the policy pvs: the table that `bake` made [default: one is baked and written to the --out folder]
+    #[arg(long, value_name = "FILE")]
+    pvs: Option<PathBuf>,
 
     /// Watching clients [default: 32, or as many as the world has places or this machine can cull for in real time, if that
     /// is less]
@@ -162,10 +182,91 @@ enum NetName {
     SimQuic,
 }
 
+/// A setting that can be found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Setting {
+    /// The least that misses nobody.
+    Auto,
+    /// A given one.
+    Metres(f64),
+}
+
+fn setting(text: &str) -> Result<Setting, String> {
+    if text == "auto" {
+        return Ok(Setting::Auto);
+    }
+    number(0.01..=1e7, "m")(text).map(Setting::Metres).map_err(|error| format!("{error}, or auto"))
+}
+
+/// The settings of the policies that are measured. What is to be found is found here, and noted.
+fn policy_settings(
+    options: &Measure,
+    stage: &mut Stage,
+    crowd: Option<&Crowd>,
+    config: &MeasureConfig,
+    net: &Net,
+) -> anyhow::Result<PolicySettings> {
+    let mut settings = PolicySettings::default().with_hysteresis(options.hysteresis);
+    let is_measured = |name: &str| options.policies.iter().any(|policy| policy == name);
+    let autos = [("radius", options.radius), ("grid", options.grid_cell)];
+    let found = if autos.iter().any(|&(name, setting)| is_measured(name) && setting == Setting::Auto) {
+        let found = fit(stage, crowd, config, net)?;
+        stage.notes.push(format!(
+            "radius and grid are set to the least that misses nobody, all round, in {} frames of this motion under broadcast in \
+             virtual time: {:.2} m and squares of {:.2} m. An object must have been told of up to {} ms \
+             before it is seen, and either may be {:.2} m from where it was then",
+            found.frames,
+            found.radius,
+            found.cell,
+            found.wait.as_millis(),
+            found.margin
+        ));
+        Some(found)
+    } else {
+        None
+    };
+    match (options.radius, &found) {
+        (Setting::Metres(radius), _) => settings = settings.with_radius(radius),
+        (Setting::Auto, Some(found)) => settings = settings.with_radius(found.radius),
+        (Setting::Auto, None) => {}
+    }
+    match (options.grid_cell, &found) {
+        (Setting::Metres(cell), _) => settings = settings.with_cell(cell),
+        (Setting::Auto, Some(found)) => settings = settings.with_cell(found.cell),
+        (Setting::Auto, None) => {}
+    }
+    if is_measured("pvs") {
+        let table = match &options.pvs {
+            Some(path) => PvsTable::read(path)?,
+            None => {
+                let table = bake(stage, &BakeConfig { seed: options.seed, ..BakeConfig::default() })?;
+                let path = options.out.join("world.pvs");
+                table.write(&path)?;
+                stage.notes.push(format!("the table of pvs was baked into {}", path.display()));
+                table
+            }
+        };
+        table.check_world(&stage.model.info)?;
+        let facts = table.facts();
+        stage.notes.push(format!(
+            "pvs: {} cells of {} m, from {} sampled eyes in {} of them; a cell sees {:.1} % of all, mean. Sampled: it may miss, and \
+             missed_percent says how much",
+            table.grid().cells(),
+            table.grid().cell(),
+            facts.eyes,
+            facts.cells_seen_from,
+            table.share_seen() * 100.0
+        ));
+        settings = settings.with_pvs(Arc::new(table));
+    }
+    Ok(settings)
+}
+
 pub const EXAMPLES: &str = "Examples:
   eyeline-sim measure --world oa_dm2.glb --trace students03_obsmat.txt --seconds 20 --out out/dm2
   eyeline-sim measure --rooms 16x16 --clients 64 --net sim --rtt 50 --jitter 10 --loss 0.02
   eyeline-sim measure --net sim --rooms 4x4 --avatars 64 --clients 16 --sweep rooms=4,8,16 --policies visible,broadcast
+  eyeline-sim measure --rooms 16x16 --clients 64 --net sim --policies visible,broadcast,radius,grid,pvs
   eyeline-sim measure --net sim --rtt 50 --jitter 10 --sweep lead=none,40,80,auto --policies visible
   eyeline-sim measure --policies visible --sabotage drop-exposures      (must show misses)";
 
@@ -181,7 +282,8 @@ fn interest(text: &str) -> Result<Interest, String> {
     }
 }
 
-fn columns_by_rows(text: &str) -> Result<(u32, u32), String> {
+/// The value of `--rooms`.
+pub fn columns_by_rows(text: &str) -> Result<(u32, u32), String> {
     let rooms = pair(text).filter(|&(columns, rows)| (1..=200).contains(&columns) && (1..=200).contains(&rows));
     rooms.ok_or_else(|| "give columns and rows from 1 to 200, as in 10x10".to_owned())
 }
@@ -282,6 +384,8 @@ fn prepare(options: &Measure) -> anyhow::Result<Case> {
         NetName::Sim => Net::Sim(link),
         NetName::SimQuic => Net::SimQuic(link),
     };
+    let policy = policy_settings(options, &mut stage, crowd.as_ref(), &config, &net)?;
+    let config = MeasureConfig { policy, ..config };
     Ok(Case { stage, crowd, config, net })
 }
 

@@ -1,5 +1,6 @@
 //! What can be done from the command line: one file a verb, each with its options and what it prints.
 
+mod bake;
 mod cull;
 mod link;
 mod measure;
@@ -31,6 +32,9 @@ pub enum Verb {
     /// Repeat the papers' experiments with trackers: work, time and messages, without a network
     #[command(after_long_help = track::EXAMPLES)]
     Track(Box<track::Track>),
+    /// Make the table of the policy pvs: which cells of a world may be seen from which
+    #[command(after_long_help = bake::EXAMPLES)]
+    Bake(bake::Bake),
     /// Make a scene: a .glb with its world file
     #[command(subcommand, after_long_help = scene::EXAMPLES)]
     Scene(scene::Scene),
@@ -55,6 +59,7 @@ pub fn run(verb: &Verb) -> anyhow::Result<()> {
         Verb::Why(options) => measure::explain(options),
         Verb::Cull(options) => cull::run(options),
         Verb::Track(options) => track::run(options),
+        Verb::Bake(options) => bake::run(options),
         Verb::Scene(options) => scene::run(options),
         Verb::Serve(options) => serve::run(options),
         Verb::Swarm(options) => swarm::run(options),
