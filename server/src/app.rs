@@ -53,6 +53,10 @@ pub struct ServeOptions {
     #[arg(long, value_name = "M/S", value_parser = number(0.0..=1e6, "m/s"))]
     pub avatar_speed: Option<f64>,
 
+    /// Look for oneself whether a client may see what it asks the place of, and answer with a bound if not. Costs CPU
+    #[arg(long)]
+    pub audit: bool,
+
     /// Once listening, write the address and the fingerprint into this file, a line each, for scripts and
     /// `--server-file`; it is removed at the end
     #[arg(long, value_name = "FILE")]
@@ -88,7 +92,11 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         .with_grid_seed(grid_seed)
         .with_avatars_max(options.max_avatars as usize);
     let clock = WorldClock::starting_at(unix_time());
-    let world = model.world(config, &options.policy, clock.now())?;
+    let mut world = model.world(config, &options.policy, clock.now())?;
+    if options.audit {
+        let audit = model.audit(world.classes());
+        world.set_audit(audit);
+    }
     let identity = Identity::load_or_create(&options.identity)?;
     let fingerprint = identity.fingerprint_hex();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -131,7 +139,8 @@ fn describe(options: &ServeOptions, model: &Model, notes: &[String]) -> String {
         _ => "the server culls, and tells each client exactly what it sees",
     };
     let tick_ms = 1e3 / options.tick_hz;
-    let _ = writeln!(text, "plan         {}: {how}; tick {tick_ms} ms, blur {} m", options.policy, options.blur);
+    let audit = if options.audit { "; places are told only after an audit" } else { "" };
+    let _ = writeln!(text, "plan         {}: {how}{audit}; tick {tick_ms} ms, blur {} m", options.policy, options.blur);
     text
 }
 
@@ -141,7 +150,7 @@ fn summary(handle: &Handle) -> String {
     let shell = handle.stats();
     format!(
         "ended        {} clients admitted, {} refused; rejected {} control messages, {} datagrams; {} messages in, \
-         {} out; {} poses held back; {} ticks, {} missed; {} slow readers\n",
+         {} out; {} poses held back; {} places withheld; {} ticks, {} missed; {} slow readers\n",
         stats.admitted,
         stats.refused,
         stats.rejected_control,
@@ -149,6 +158,7 @@ fn summary(handle: &Handle) -> String {
         stats.messages_in.total(),
         stats.out.total(),
         stats.poses_clamped,
+        stats.withheld,
         stats.ticks,
         stats.ticks_missed,
         shell.slow_readers,

@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eyeline_protocol::{Class, WorldInfo, WorldTime};
-use eyeline_visibility::{LoadError, LoadOptions, LoadStats, Scene, load_glb_with_stats, pack_glb};
+use eyeline_visibility::{AllRound, LoadError, LoadOptions, LoadStats, Scene, load_glb_with_stats, pack_glb};
 use glam::DVec3;
 use serde::Deserialize;
 
+use crate::audit::{Audit, RegionAudit};
 use crate::hash::sha256;
 use crate::policy::{Broadcast, ExactSight, Meshes, Oracle, Policy, Visible};
 use crate::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, WorldSpec};
@@ -171,6 +172,11 @@ impl Model {
             other => return Err(StartError::Policy(other.to_owned())),
         };
         Ok(under(policy)?)
+    }
+
+    /// An audit with this model's walls, for [`World::set_audit`]. `classes` are the world's.
+    pub fn audit(&self, classes: &[Class]) -> Box<dyn Audit> {
+        Box::new(RegionAudit::new(Arc::new(AllRound::new(&self.scene)), classes.to_vec()))
     }
 
     /// The meshes of what moves; `avatar` is the class of avatars.

@@ -8,7 +8,7 @@ mod oracle;
 mod sight;
 mod visible;
 
-use eyeline_protocol::ObjectId;
+use eyeline_protocol::{Interest, ObjectId};
 use glam::DVec3;
 
 pub use broadcast::Broadcast;
@@ -29,6 +29,10 @@ pub struct Watcher {
     pub avatar: ObjectId,
     /// Its eye, metres relative to the anchor, from the committed pose.
     pub eye: DVec3,
+    /// Turn of its avatar about +Y, radians, from the committed pose; 0 looks along −Z.
+    pub yaw: f64,
+    /// Which directions it wants to hear of.
+    pub interest: Interest,
 }
 
 /// Decides whom each client is told about.

@@ -15,7 +15,8 @@ use std::time::Duration;
 
 use eyeline_client::session::{Session, SessionConfig};
 use eyeline_client::tracking::{Growth, Sabotage, TrackerConfig};
-use eyeline_server::world::WorldConfig;
+use eyeline_protocol::WorldTime;
+use eyeline_server::world::{World, WorldConfig};
 use eyeline_visibility::Resolution;
 
 pub use log::{Bursts, ClientLog, Commit, FrameLog, Known, ObjectInfo, RunLog};
@@ -60,6 +61,8 @@ pub struct MeasureConfig {
     pub blur: f64,
     /// Whether preset paths and rest make bounds at the server.
     pub swept: bool,
+    /// Whether the server looks for itself before it tells a place.
+    pub audit: bool,
     /// Who chooses validity periods.
     pub growth: Growth,
     /// Frames that something must be hidden before updates are declined.
@@ -84,6 +87,7 @@ impl Default for MeasureConfig {
             burst_frames: 20,
             blur: 1.0,
             swept: true,
+            audit: false,
             growth: Growth::AtClient,
             linger_frames: 2,
             staged: true,
@@ -105,6 +109,15 @@ impl MeasureConfig {
             .with_swept(self.swept)
             .with_grid_seed(self.seed)
             .with_default_spawn(stage.model.scene.bounds().centre())
+    }
+
+    /// The world of a run.
+    fn start(&self, stage: &Stage, policy: &str, now: WorldTime) -> anyhow::Result<World> {
+        let mut world = stage.world(self.world(stage), policy, now)?;
+        if self.audit {
+            world.set_audit(stage.model.audit(world.classes()));
+        }
+        Ok(world)
     }
 
     fn tracker(&self) -> TrackerConfig {

@@ -34,7 +34,7 @@ pub(super) fn run(
     link: &LinkRules,
     policy: &str,
 ) -> anyhow::Result<RunLog> {
-    let world = stage.world(config.world(stage), policy, BEGIN)?;
+    let world = config.start(stage, policy, BEGIN)?;
     let mut run = VirtualRun::new(world, config.seed, BEGIN);
     let bounds = stage.model.scene.bounds();
     let index = || Box::new(move || Box::new(DynamicOctree::new(bounds)) as Box<_>);
