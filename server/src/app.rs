@@ -69,6 +69,10 @@ pub struct ServeOptions {
     #[arg(long, value_name = "M/S", value_parser = number(0.0..=1e6, "m/s"))]
     pub avatar_speed: Option<f64>,
 
+    /// Look for oneself whether a client may see what it asks the place of, and answer with a bound if not. Costs CPU
+    #[arg(long)]
+    pub audit: bool,
+
     /// Once listening, write the address and the fingerprint into this file, a line each, for scripts and
     /// `--server-file`; it is removed at the end
     #[arg(long, value_name = "FILE")]
@@ -108,7 +112,11 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
     if let Some(path) = &options.pvs {
         settings = settings.with_pvs(Arc::new(PvsTable::read(path)?));
     }
-    let world = model.world(config, &options.policy, &settings, clock.now())?;
+    let mut world = model.world(config, &options.policy, &settings, clock.now())?;
+    if options.audit {
+        let audit = model.audit(world.classes());
+        world.set_audit(audit);
+    }
     let identity = Identity::load_or_create(&options.identity)?;
     let fingerprint = identity.fingerprint_hex();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -157,7 +165,8 @@ fn describe(options: &ServeOptions, model: &Model, settings: &PolicySettings, no
     let setting = if setting.is_empty() { setting } else { format!(" ({setting})") };
     let tick_ms = 1e3 / options.tick_hz;
     let (policy, blur) = (&options.policy, options.blur);
-    let _ = writeln!(text, "plan         {policy}: {how}{setting}; tick {tick_ms} ms, blur {blur} m");
+    let audit = if options.audit { "; places are told only after an audit" } else { "" };
+    let _ = writeln!(text, "plan         {policy}: {how}{setting}{audit}; tick {tick_ms} ms, blur {blur} m");
     text
 }
 
@@ -167,7 +176,7 @@ fn summary(handle: &Handle) -> String {
     let shell = handle.stats();
     format!(
         "ended        {} clients admitted, {} refused; rejected {} control messages, {} datagrams; {} messages in, \
-         {} out; {} poses held back; {} ticks, {} missed; {} slow readers\n",
+         {} out; {} poses held back; {} places withheld; {} ticks, {} missed; {} slow readers\n",
         stats.admitted,
         stats.refused,
         stats.rejected_control,
@@ -175,6 +184,7 @@ fn summary(handle: &Handle) -> String {
         stats.messages_in.total(),
         stats.out.total(),
         stats.poses_clamped,
+        stats.withheld,
         stats.ticks,
         stats.ticks_missed,
         shell.slow_readers,

@@ -5,6 +5,7 @@
 
 #[cfg(all(feature = "net", feature = "audit"))]
 pub mod app;
+pub mod audit;
 #[cfg(any(feature = "net", feature = "audit"))]
 mod hash;
 #[cfg(feature = "audit")]

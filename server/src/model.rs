@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eyeline_protocol::{Class, WorldInfo, WorldTime};
-use eyeline_visibility::{LoadError, LoadOptions, LoadStats, Scene, load_glb_with_stats, pack_glb};
+use eyeline_visibility::{AllRound, LoadError, LoadOptions, LoadStats, Scene, load_glb_with_stats, pack_glb};
 use glam::DVec3;
 use serde::Deserialize;
 
+use crate::audit::{Audit, RegionAudit};
 use crate::hash::sha256;
 use crate::policy::{ExactSight, Meshes, Oracle, Policy, PolicyError, PolicySettings, Visible};
 use crate::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, WorldSpec};
@@ -176,6 +177,11 @@ impl Model {
             None => return Err(StartError::Policy(policy.to_owned())),
         };
         Ok(under(made)?)
+    }
+
+    /// An audit with this model's walls, for [`World::set_audit`]. `classes` are the world's.
+    pub fn audit(&self, classes: &[Class]) -> Box<dyn Audit> {
+        Box::new(RegionAudit::new(Arc::new(AllRound::new(&self.scene)), classes.to_vec()))
     }
 
     /// The meshes of what moves; `avatar` is the class of avatars.

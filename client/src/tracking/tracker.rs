@@ -719,7 +719,9 @@ impl Tracker {
         self.stats.exposed += 1;
         // A fresh bound helps only if it is a good deal tighter than this one has become.
         let entry = &self.entries[&object];
-        let fresh = self.blur + self.classes[entry.class].motion.slack;
+        // The server's bounds are nested, so that it may not have a tighter one before this one has grown: to ask again at
+        // once would be to ask for ever.
+        let fresh = (self.blur + self.classes[entry.class].motion.slack).max(tbv.radius);
         // One that does not grow would come back the same, again and again; so may one that has just been asked for.
         let is_new = entry.freshened_in == Some(self.stats.frames);
         let gains = !is_new && tbv.speed > 0.0 && tbv.radius_at(self.latest) > 1.25 * fresh + 0.05;

@@ -1,6 +1,6 @@
 //! Objects and watchers for tests of policies.
 
-use eyeline_protocol::{ObjectId, WorldInfo, WorldTime};
+use eyeline_protocol::{Interest, ObjectId, WorldInfo, WorldTime};
 use glam::DVec3;
 
 use super::{Visible, Watcher};
@@ -26,5 +26,5 @@ pub(super) fn world(places: &[[f64; 3]]) -> World {
 
 /// A client with this avatar and eye.
 pub(super) fn watcher(session: u32, avatar: u32, eye: DVec3) -> Watcher {
-    Watcher { session: SessionId(session), avatar: ObjectId(avatar), eye }
+    Watcher { session: SessionId(session), avatar: ObjectId(avatar), eye, yaw: 0.0, interest: Interest::Around }
 }

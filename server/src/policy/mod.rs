@@ -17,7 +17,7 @@ mod squares;
 mod table;
 mod visible;
 
-use eyeline_protocol::{Class, ObjectId};
+use eyeline_protocol::{Class, Interest, ObjectId};
 use glam::DVec3;
 
 pub use broadcast::Broadcast;
@@ -45,6 +45,10 @@ pub struct Watcher {
     pub avatar: ObjectId,
     /// Its eye, metres relative to the anchor, from the committed pose.
     pub eye: DVec3,
+    /// Turn of its avatar about +Y, radians, from the committed pose; 0 looks along −Z.
+    pub yaw: f64,
+    /// Which directions it wants to hear of.
+    pub interest: Interest,
 }
 
 /// Decides whom each client is told about.

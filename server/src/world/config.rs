@@ -28,6 +28,10 @@ pub struct WorldConfig {
     pub swept: bool,
     /// A client that has not been heard of for so long gets no more updates until it is; default 3 s.
     pub lease: Duration,
+    /// Greatest eye region of an audit, metres; default 2: what an avatar of 2 m/s reaches within a round trip of 0.4 s. A
+    /// greater one serves clients of longer round trips without delay, and tells a modified client more, which can
+    /// pretend to any round trip.
+    pub audit_radius_max: f64,
     /// Most avatars; default 4096.
     pub avatars_max: usize,
     /// Where avatars start if the world names no place, relative to the anchor.
@@ -44,6 +48,7 @@ impl Default for WorldConfig {
             jitter: Duration::from_millis(60),
             swept: true,
             lease: Duration::from_secs(3),
+            audit_radius_max: 2.0,
             avatars_max: 4096,
             default_spawn: DVec3::ZERO,
         }
@@ -76,6 +81,11 @@ impl WorldConfig {
         WorldConfig { swept, ..self }
     }
 
+    /// Sets the greatest eye region of an audit, metres.
+    pub fn with_audit_radius_max(self, audit_radius_max: f64) -> WorldConfig {
+        WorldConfig { audit_radius_max, ..self }
+    }
+
     /// Sets the most avatars.
     pub fn with_avatars_max(self, avatars_max: usize) -> WorldConfig {
         WorldConfig { avatars_max, ..self }
@@ -87,6 +97,9 @@ impl WorldConfig {
         }
         if !(0.0..=1000.0).contains(&self.blur) {
             return Err(WorldError::Blur { blur: self.blur });
+        }
+        if !(0.0..=1000.0).contains(&self.audit_radius_max) {
+            return Err(WorldError::AuditRadius { radius: self.audit_radius_max });
         }
         Ok(())
     }
@@ -106,6 +119,12 @@ pub enum WorldError {
     Blur {
         /// What was given.
         blur: f64,
+    },
+    /// The greatest eye region of an audit is out of range.
+    #[error("eye region of {radius} m is not between 0 and 1000 m; 2 m is usual")]
+    AuditRadius {
+        /// What was given.
+        radius: f64,
     },
     /// An object of a class that is not there.
     #[error(

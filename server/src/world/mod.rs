@@ -8,6 +8,7 @@
 //! to each object's motion bound; every record that leaves speaks of the newest committed state. Requests are answered
 //! on arrival.
 
+mod blur;
 mod config;
 mod object;
 mod session;
@@ -17,9 +18,9 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use eyeline_protocol::{
-    CLASSES_MAX, Class, ClassId, ClientControl, ClientId, ClientRecord, Extent, LocalTime, MotionBound, NAME_BYTES_MAX,
-    ObjectId, Orientation, Position, QUANTUM_METRES, Refusal, Role, RosterEntry, ServerControl, VERSION, Want, Welcome,
-    WireTbv, WorldInfo, WorldTime, codec,
+    CLASSES_MAX, Class, ClassId, ClientControl, ClientId, ClientRecord, Extent, Interest, LocalTime, MotionBound,
+    NAME_BYTES_MAX, ObjectId, Orientation, Position, QUANTUM_METRES, Refusal, Role, RosterEntry, ServerControl,
+    VERSION, Want, Welcome, WireTbv, WorldInfo, WorldTime, codec,
 };
 use glam::DVec3;
 
@@ -29,8 +30,9 @@ pub(crate) use object::present;
 use session::{Phase, Session};
 pub use stats::{MessageCounts, WorldStats};
 
+use crate::audit::Audit;
 use crate::path::paths_of;
-use crate::policy::{Policy, Watcher};
+use crate::policy::Policy;
 use crate::spec::WorldSpec;
 
 /// A connection, as the driver and the world name it.
@@ -64,6 +66,7 @@ pub struct World {
     spec: WorldSpec,
     classes: Vec<Class>,
     policy: Box<dyn Policy>,
+    audit: Option<Box<dyn Audit>>,
     /// Index = object id. Ids of avatars that left are free, and used again with a later issue number.
     objects: Vec<Object>,
     free: Vec<ObjectId>,
@@ -135,6 +138,7 @@ impl World {
             spec,
             classes,
             policy,
+            audit: None,
             objects,
             free: Vec::new(),
             spawned: 0,
@@ -151,6 +155,13 @@ impl World {
         };
         world.tick(now);
         Ok(world)
+    }
+
+    /// Checks from now on that clients are told no place that they are not entitled to. Only where clients ask: a policy
+    /// that decides at the server answers for itself.
+    pub fn set_audit(&mut self, mut audit: Box<dyn Audit>) {
+        audit.begin_tick(&self.objects);
+        self.audit = Some(audit);
     }
 
     /// A new connection. Until its hello it costs one small entry.
@@ -209,7 +220,9 @@ impl World {
                 self.stats.rejected_control += 1;
                 self.refuse(id, Refusal::Protocol, &format!("control message: {error}"));
             }
-            Ok(ClientControl::Hello { version, role, .. }) if !live => self.admit(id, version, role, now),
+            Ok(ClientControl::Hello { version, role, interest, .. }) if !live => {
+                self.admit(id, version, role, interest, now);
+            }
             Ok(ClientControl::WorldWanted) if live => self.out.push_back((id, Transmit::WorldBytes)),
             Ok(ClientControl::Place { object, position, present }) if live => self.place(id, object, position, present),
             Ok(ClientControl::Goodbye) => {
@@ -251,7 +264,7 @@ impl World {
         self.out.push_back((id, Transmit::Close(reason.to_owned())));
     }
 
-    fn admit(&mut self, id: SessionId, version: u16, role: Role, now: WorldTime) {
+    fn admit(&mut self, id: SessionId, version: u16, role: Role, interest: Interest, now: WorldTime) {
         if version != VERSION {
             self.stats.refused += 1;
             let reason = format!("protocol version {version} is not the server's {VERSION}: update the older side");
@@ -326,6 +339,7 @@ impl World {
         if let Some(session) = self.sessions.get_mut(&id) {
             session.phase = Phase::Live { slot, watches: role == Role::Avatar };
             session.avatars = avatars;
+            session.interest = interest;
             session.heard_at = now;
         }
         self.stats.admitted += 1;
@@ -531,6 +545,9 @@ impl World {
                 self.spread_violation(ObjectId(index as u32), outcome.entered_or_left);
             }
         }
+        if let Some(audit) = &mut self.audit {
+            audit.begin_tick(&self.objects);
+        }
         self.retell();
         let quiet = self.config.lease;
         for (&id, session) in &mut self.sessions {
@@ -551,13 +568,10 @@ impl World {
         if self.policy.tracking() {
             return;
         }
-        let eye_height = self.classes[usize::from(AVATAR_CLASS.0)].eye_height;
+        let avatar_class = &self.classes[usize::from(AVATAR_CLASS.0)];
         self.policy.begin_tick(&self.objects);
         for (&id, session) in &mut self.sessions {
-            let Phase::Live { watches: true, .. } = session.phase else { continue };
-            let Some(&avatar) = session.avatars.first() else { continue };
-            let feet = self.objects[avatar.index()].position.metres();
-            let watcher = Watcher { session: id, avatar, eye: feet + DVec3::Y * eye_height };
+            let Some(watcher) = session.watcher(id, &self.objects, avatar_class) else { continue };
             self.told.clear();
             self.policy.interest(&self.objects, &watcher, &mut self.told);
             session.tell_exactly(&self.told);
@@ -610,11 +624,22 @@ impl World {
     fn build_datagram(&mut self, id: SessionId, now: WorldTime) -> Option<Vec<u8>> {
         let session = self.sessions.get_mut(&id)?;
         let Phase::Live { slot, .. } = session.phase else { return None };
-        let (tick, blur_config, anchor) = (self.tick, &self.config, self.anchor);
+        let (tick, config, anchor) = (self.tick, &self.config, self.anchor);
         let classes = &self.classes;
-        session.build(now, tick, slot, &mut self.objects, &mut self.stats, |object| {
+        let avatar_class = &classes[usize::from(AVATAR_CLASS.0)];
+        let watcher = session.watcher(id, &self.objects, avatar_class);
+        let region = eye_region(config, avatar_class.motion, session.round_trip_max());
+        let mut audit = self.audit.as_mut().filter(|_| self.policy.tracking());
+        let entitled = |objects: &[Object], object: ObjectId| match (&mut audit, &watcher) {
+            (Some(audit), Some(watcher)) => audit.entitled(objects, watcher, region, object),
+            _ => true,
+        };
+        session.build(now, tick, slot, &mut self.objects, &mut self.stats, entitled, |object, known| {
             let motion = classes[usize::from(object.class.0)].motion;
-            WireTbv::new(&object.fresh_tbv(tick, motion, blur_config, anchor), tick)
+            let fresh = object.fresh_tbv(tick, motion, config, anchor);
+            let tbv = known.map_or(fresh, |known| known.answer(fresh, motion, config.blur));
+            debug_assert!(tbv.contains(object.position.metres(), tick), "a bound must contain its object");
+            WireTbv::new(&tbv, tick)
         })
     }
 
@@ -652,6 +677,16 @@ impl World {
     pub fn avatars(&self) -> usize {
         self.objects.iter().filter(|object| object.alive && object.owner.is_some()).count()
     }
+}
+
+/// Radius of the ball around a watcher's committed eye in which its own eye may be when it draws what is told now, metres.
+///
+/// Its pose was `one way + wait for the tick` old when it was committed, and the answer takes another way and a frame; a round
+/// trip each covers jitter, and a frame is taken to be as long as a tick, since clients don't say.
+fn eye_region(config: &WorldConfig, motion: MotionBound, round_trip: Option<Duration>) -> f64 {
+    // Of a client that has not been measured yet the most is believed.
+    let Some(round_trip) = round_trip else { return config.audit_radius_max };
+    motion.reach((2 * round_trip + 3 * config.tick).as_secs_f64()).min(config.audit_radius_max)
 }
 
 fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldError> {
@@ -707,6 +742,9 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
 }
 
 #[cfg(test)]
+mod audit_tests;
+
+#[cfg(test)]
 mod tests {
     use eyeline_protocol::codec::{DatagramWriter, encode_control};
     use eyeline_protocol::{ClientHeader, Interest, LinkHeader, Reason};
@@ -715,13 +753,13 @@ mod tests {
     use super::*;
     use crate::policy::{Broadcast, Visible};
 
-    fn world(policy: Box<dyn Policy>) -> World {
+    pub(super) fn world(policy: Box<dyn Policy>) -> World {
         let info = WorldInfo { name: "test".into(), hash: [0; 32], size_bytes: 0, two_sided: false };
         let spec = WorldSpec::default();
         World::new(WorldConfig::default(), spec, info, DVec3::ZERO, policy, WorldTime::ZERO).unwrap()
     }
 
-    fn join(world: &mut World, role: Role) -> SessionId {
+    pub(super) fn join(world: &mut World, role: Role) -> SessionId {
         let id = world.connect(WorldTime::ZERO);
         let hello = ClientControl::Hello {
             version: VERSION,
@@ -736,7 +774,7 @@ mod tests {
     }
 
     /// What is to be sent to a client; more than a thousand would be without end.
-    fn drain(world: &mut World, to: SessionId) -> Vec<Transmit> {
+    pub(super) fn drain(world: &mut World, to: SessionId) -> Vec<Transmit> {
         let mut sent = Vec::new();
         for _ in 0..1000 {
             match world.poll_transmit(WorldTime::ZERO) {
@@ -748,7 +786,7 @@ mod tests {
         panic!("the world has no end of things to say");
     }
 
-    fn datagram(seq: u32, records: &[ClientRecord]) -> Vec<u8> {
+    pub(super) fn datagram(seq: u32, records: &[ClientRecord]) -> Vec<u8> {
         let link = LinkHeader { seq, ..LinkHeader::default() };
         let mut writer = DatagramWriter::new(&ClientHeader { link, frame: WorldTime::ZERO }, 1200);
         assert!(records.iter().all(|record| writer.push(record)));

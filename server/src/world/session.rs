@@ -8,10 +8,14 @@ use std::time::Duration;
 
 use eyeline_protocol::codec::DatagramWriter;
 use eyeline_protocol::{
-    Arrival, Issue, Link, LinkHeader, LocalTime, ObjectId, ServerHeader, ServerRecord, WireTbv, WorldTime,
+    Arrival, Class, Interest, Issue, Link, LinkHeader, LocalTime, ObjectId, ServerHeader, ServerRecord, WireTbv,
+    WorldTime,
 };
+use glam::DVec3;
 
-use super::{Object, WorldStats};
+use super::blur::Known;
+use super::{Object, SessionId, WorldStats};
+use crate::policy::Watcher;
 
 /// How far a connection has got.
 pub(super) enum Phase {
@@ -34,6 +38,8 @@ struct Subscription {
     sent: WorldTime,
     /// Number of the datagram that asked last: what an older one says has been overtaken.
     asked_seq: u32,
+    /// Whether a bound was told in place of the state that is due, since the client is not entitled to it.
+    withheld: bool,
 }
 
 /// A violation that the client has not acknowledged.
@@ -46,6 +52,9 @@ pub(super) struct Violation {
 /// In place of a state's version: the object was withdrawn.
 const WITHDRAWN: WorldTime = WorldTime::MAX;
 
+/// In place of a state's version: a bound was told since the state was withheld.
+const WITHHELD: WorldTime = WorldTime::MIN;
+
 /// The state of a datagram that was sent: which objects' states it carried.
 type Carried = Vec<(ObjectId, WorldTime)>;
 
@@ -54,6 +63,8 @@ pub(super) struct Session {
     /// Whether it was told to go: what it says on the control stream from then on counts for nothing.
     pub is_refused: bool,
     pub avatars: Vec<ObjectId>,
+    /// Which directions it wants to hear of.
+    pub interest: Interest,
     pub heard_at: WorldTime,
     pub owes_ack: bool,
     pub datagram_limit: usize,
@@ -63,6 +74,8 @@ pub(super) struct Session {
     /// For how long the client lets an acknowledgement wait, lately at most: it acknowledges with its next frame.
     hold_max: Duration,
     subscriptions: BTreeMap<ObjectId, Subscription>,
+    /// What was told exactly, by object.
+    known: BTreeMap<ObjectId, Known>,
     states_due: BTreeSet<ObjectId>,
     hidden_due: BTreeSet<ObjectId>,
 }
@@ -79,6 +92,7 @@ impl Session {
             phase: Phase::Greeting,
             is_refused: false,
             avatars: Vec::new(),
+            interest: Interest::Around,
             heard_at: now,
             owes_ack: false,
             datagram_limit: DATAGRAM_LIMIT_DEFAULT,
@@ -87,6 +101,7 @@ impl Session {
             link: Link::default(),
             hold_max: Duration::ZERO,
             subscriptions: BTreeMap::new(),
+            known: BTreeMap::new(),
             states_due: BTreeSet::new(),
             hidden_due: BTreeSet::new(),
         }
@@ -115,9 +130,10 @@ impl Session {
             }
             if let Some(subscription) = self.subscriptions.get_mut(&object)
                 && subscription.active
-                && subscription.sent == version
+                && (subscription.sent == version || version == WITHHELD)
             {
                 subscription.sent = WorldTime::MIN;
+                subscription.withheld = false;
                 self.states_due.insert(object);
             }
         }
@@ -134,6 +150,20 @@ impl Session {
         self.states_due.retain(|id| objects[id.index()].alive);
     }
 
+    /// Its view of the world, if it looks at it.
+    pub fn watcher(&self, session: SessionId, objects: &[Object], avatar_class: &Class) -> Option<Watcher> {
+        let Phase::Live { watches: true, .. } = self.phase else { return None };
+        let &avatar = self.avatars.first()?;
+        let object = &objects[avatar.index()];
+        let eye = object.position.metres() + DVec3::Y * avatar_class.eye_height;
+        Some(Watcher { session, avatar, eye, yaw: object.orientation.yaw(), interest: self.interest })
+    }
+
+    /// Greatest round trip of the last 5 s, without what the client held its acknowledgements for.
+    pub fn round_trip_max(&self) -> Option<Duration> {
+        self.link.round_trip_max()
+    }
+
     /// Whether a newer datagram has already said something about this object.
     pub fn is_overtaken(&self, object: ObjectId, seq: u32) -> bool {
         self.subscriptions.get(&object).is_some_and(|subscription| seq < subscription.asked_seq)
@@ -147,7 +177,8 @@ impl Session {
     pub fn subscribe(&mut self, object: ObjectId, seq: u32) {
         self.bounds_due.remove(&object);
         self.states_due.insert(object);
-        self.subscriptions.insert(object, Subscription { active: true, sent: WorldTime::MIN, asked_seq: seq });
+        self.subscriptions
+            .insert(object, Subscription { active: true, sent: WorldTime::MIN, asked_seq: seq, withheld: false });
     }
 
     /// Tells of the object now, and not from now on.
@@ -159,7 +190,8 @@ impl Session {
 
     pub fn unsubscribe(&mut self, object: ObjectId, seq: u32) {
         self.states_due.remove(&object);
-        self.subscriptions.insert(object, Subscription { active: false, sent: WorldTime::MIN, asked_seq: seq });
+        self.subscriptions
+            .insert(object, Subscription { active: false, sent: WorldTime::MIN, asked_seq: seq, withheld: false });
     }
 
     /// Tells of the object no more, until it is asked for again.
@@ -190,6 +222,7 @@ impl Session {
     /// The object exists no more.
     pub fn forget(&mut self, object: ObjectId) {
         self.subscriptions.remove(&object);
+        self.known.remove(&object);
         self.states_due.remove(&object);
         self.hidden_due.remove(&object);
         self.bounds_due.remove(&object);
@@ -225,7 +258,8 @@ impl Session {
         slot: usize,
         objects: &mut [Object],
         stats: &mut WorldStats,
-        mut bound: impl FnMut(&Object) -> Option<WireTbv>,
+        mut entitled: impl FnMut(&[Object], ObjectId) -> bool,
+        mut bound: impl FnMut(&mut Object, Option<&mut Known>) -> Option<WireTbv>,
     ) -> Option<Vec<u8>> {
         let timeout = self.link.timeout();
         let violations_due = self.violations.values().any(|violation| violation.is_due(now, timeout));
@@ -274,27 +308,42 @@ impl Session {
             records.push(record);
         }
         while let Some(&id) = self.states_due.first() {
-            let object = &mut objects[id.index()];
-            if !object.present || !object.alive {
+            if !objects[id.index()].present || !objects[id.index()].alive {
                 self.states_due.pop_first();
                 continue;
             }
+            if !entitled(objects, id) {
+                self.states_due.pop_first();
+                // It stays due, so that it is told as soon as it is in sight; of its absence one bound speaks.
+                let is_told = self.subscriptions.get_mut(&id).is_some_and(|subscription| {
+                    subscription.active && std::mem::replace(&mut subscription.withheld, true)
+                });
+                if !is_told {
+                    stats.withheld += 1;
+                    self.bounds_due.insert(id);
+                    carried.push((id, WITHHELD));
+                }
+                continue;
+            }
+            let object = &mut objects[id.index()];
             let record = ServerRecord::State { object: id, position: object.position, orientation: object.orientation };
             if !writer.push(&record) {
                 break;
             }
             self.states_due.pop_first();
             object.note_holder(slot);
+            self.known.insert(id, Known::new(object.position, tick, object.issue));
             places += u64::from(!self.subscriptions.get(&id).is_some_and(|subscription| subscription.active));
             if let Some(subscription) = self.subscriptions.get_mut(&id) {
                 subscription.sent = object.changed_at;
+                subscription.withheld = false;
                 carried.push((id, object.changed_at));
             }
             records.push(record);
         }
         while let Some(&id) = self.bounds_due.first() {
             let object = &mut objects[id.index()];
-            let tbv = if object.present && object.alive { bound(object) } else { None };
+            let tbv = if object.present && object.alive { bound(object, self.known.get_mut(&id)) } else { None };
             let Some(tbv) = tbv else {
                 self.bounds_due.pop_first();
                 continue;

@@ -149,6 +149,8 @@ pub struct WorldStats {
     pub forbidden: u64,
     /// Poses beyond their motion bound, held back to it.
     pub poses_clamped: u64,
+    /// Places that a client asked for, or was due, without being entitled to them; a bound was the answer.
+    pub withheld: u64,
     /// Bounds broken: teleports, entering, leaving.
     pub violations: u64,
     /// Ticks done.

@@ -19,9 +19,9 @@ use std::time::Duration;
 
 use eyeline_client::session::{Session, SessionConfig};
 use eyeline_client::tracking::{Growth, Lead, Sabotage, TrackerConfig};
-use eyeline_protocol::Interest;
+use eyeline_protocol::{Interest, WorldTime};
 use eyeline_server::policy::PolicySettings;
-use eyeline_server::world::WorldConfig;
+use eyeline_server::world::{World, WorldConfig};
 use eyeline_visibility::Resolution;
 
 pub use fit::{Fit, fit};
@@ -76,6 +76,8 @@ pub struct MeasureConfig {
     pub blur: f64,
     /// Whether preset paths and rest make bounds at the server.
     pub swept: bool,
+    /// Whether the server looks for itself before it tells a place.
+    pub audit: bool,
     /// Who chooses validity periods.
     pub growth: Growth,
     /// Frames that something must be hidden before updates are declined.
@@ -107,6 +109,7 @@ impl Default for MeasureConfig {
             burst_frames: 20,
             blur: 1.0,
             swept: true,
+            audit: false,
             growth: Growth::AtClient,
             linger_frames: 2,
             staged: true,
@@ -132,6 +135,15 @@ impl MeasureConfig {
             .with_grid_seed(self.seed)
             .with_avatars_max(2 * (self.clients + self.residents).max(2048))
             .with_default_spawn(stage.model.scene.bounds().centre())
+    }
+
+    /// The world of a run.
+    fn start(&self, stage: &Stage, policy: &str, now: WorldTime) -> anyhow::Result<World> {
+        let mut world = stage.world(self.world(stage), policy, &self.policy, now)?;
+        if self.audit {
+            world.set_audit(stage.model.audit(world.classes()));
+        }
+        Ok(world)
     }
 
     fn tracker(&self) -> TrackerConfig {

@@ -42,7 +42,7 @@ pub(super) fn run(
     policy: &str,
 ) -> anyhow::Result<RunLog> {
     let clock = WorldClock::starting_at(WorldTime::ZERO);
-    let world = stage.world(config.world(stage), policy, &config.policy, clock.now())?;
+    let world = config.start(stage, policy, clock.now())?;
     let commits = Arc::new(Mutex::new(Vec::new()));
     let (ready_send, ready) = mpsc::channel();
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();

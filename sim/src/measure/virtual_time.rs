@@ -46,7 +46,7 @@ pub(super) fn begin(
     is_quic: bool,
     policy: &str,
 ) -> anyhow::Result<Begun> {
-    let world = stage.world(config.world(stage), policy, &config.policy, BEGIN)?;
+    let world = config.start(stage, policy, BEGIN)?;
     let mut run = match is_quic {
         true => VirtualRun::over_quic(world, config.seed, BEGIN)?,
         false => VirtualRun::new(world, config.seed, BEGIN),

@@ -129,6 +129,10 @@ pub struct Measure {
     #[arg(long)]
     no_swept: bool,
 
+    /// Let the server look for itself whether a client may see what it asks the place of
+    #[arg(long)]
+    audit: bool,
+
     /// A fixed validity period, as in the paper, milliseconds [default: bounds grow at the client]
     #[arg(long, value_name = "MS", value_parser = number(1.0..=3.6e6, "ms"))]
     fixed_validity: Option<f64>,
@@ -362,6 +366,7 @@ fn prepare(options: &Measure) -> anyhow::Result<Case> {
         truth_share: options.truth_share,
         blur: options.blur,
         swept: !options.no_swept,
+        audit: options.audit,
         growth: options
             .fixed_validity
             .map_or(Growth::AtClient, |millis| Growth::FixedPeriod(Duration::from_secs_f64(millis * 1e-3))),
