@@ -344,9 +344,9 @@ impl Session {
         else {
             return Ahead::default();
         };
-        // The greatest lately is not the greatest there may be; how far round trips stray is (RFC 6298's four variations).
+        // The greatest lately, or where round trips usually end (RFC 6298's four variations) if that is more.
         let round_trip = self.link.round_trip().zip(self.link.round_trip_max());
-        let round_trip = round_trip.map(|(usual, greatest)| greatest + 4 * usual.variation);
+        let round_trip = round_trip.map(|(usual, greatest)| greatest.max(usual.smoothed + 4 * usual.variation));
         let mut ahead = tracker.lead.ahead(round_trip, tracker.frame, avatar.motion);
         if self.config.interest == Interest::Frustum {
             ahead.turn = Some(TURN_MAX * ahead.time.as_secs_f64());

@@ -63,7 +63,8 @@ pub struct Ahead {
 }
 
 impl Lead {
-    /// The lead of a frame, for who moves as `motion` says. `round_trip` is the path's greatest lately with its jitter, if known.
+    /// The lead of a frame, for who moves as `motion` says. `round_trip` is the longest that one
+    /// takes on the path, jitter included, if known.
     pub fn ahead(self, round_trip: Option<Duration>, frame: Duration, motion: MotionBound) -> Ahead {
         let time = match self {
             Lead::None => Duration::ZERO,

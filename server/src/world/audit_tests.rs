@@ -7,6 +7,7 @@ use eyeline_protocol::{LinkHeader, Reason, ServerHeader, ServerRecord};
 use super::tests::{datagram, drain, join, world};
 use super::*;
 use crate::policy::Visible;
+use crate::policy::Watcher;
 
 /// Entitles to what a switch says, and notes the eye regions.
 #[derive(Clone, Default)]
