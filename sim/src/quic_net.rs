@@ -20,7 +20,7 @@ mod ids;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::net::{Ipv6Addr, SocketAddr};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use bytes::BytesMut;
 use eyeline_client::net::Fingerprint;
@@ -195,7 +195,7 @@ impl QuicNet {
             is_quiet &= !end.hear(client, &mut self.out);
             end.write();
             end.close_if_due(at, now, client, &mut self.out);
-            is_quiet &= !end.transmit(client, at, &mut self.packet, &mut self.out);
+            is_quiet &= !end.transmit(client, (at, now), &mut self.packet, &mut self.out);
             if is_quiet {
                 break;
             }
@@ -233,10 +233,10 @@ impl Transport for QuicNet {
         self.dirty.insert((client, Direction::Up));
     }
 
-    fn send_datagram(&mut self, client: usize, direction: Direction, bytes: Vec<u8>) {
+    fn send_datagram(&mut self, client: usize, direction: Direction, bytes: Vec<u8>, now: WorldTime) {
         let mut dropped = Vec::new();
         if let Some(end) = self.touch(client, direction) {
-            end.send_datagram(bytes, &mut dropped);
+            end.send_datagram(bytes, now, &mut dropped);
         }
         self.out.extend(dropped.into_iter().map(|bytes| Output::Dropped { client, direction, bytes }));
     }
@@ -283,6 +283,12 @@ impl Transport for QuicNet {
     fn datagram_limit(&mut self, client: usize) -> Option<usize> {
         let end = self.end(client, Direction::Up)?;
         if end.is_open() { end.connection.datagrams().max_size() } else { None }
+    }
+
+    fn waited_max(&self, client: usize, direction: Direction) -> Duration {
+        let Some(peer) = self.peers.get(client) else { return Duration::ZERO };
+        let end = if direction == Direction::Up { &peer.client } else { &peer.server };
+        end.as_ref().map_or(Duration::ZERO, End::waited_max)
     }
 
     fn udp(&self, client: usize) -> Option<[u64; 4]> {

@@ -101,3 +101,17 @@ fn quic_itself_changes_hardly_what_is_said() {
     assert!(quic.udp_bytes_per_client_s > plain.udp_bytes_per_client_s * 1.1, "{quic:?} {plain:?}");
     assert_eq!(quic.message_digest, live(Net::SimQuic(rules)).message_digest);
 }
+
+#[test]
+fn a_relay_before_real_quic_delays_what_is_said() {
+    let config = MeasureConfig {
+        clients: 2,
+        warm_up: Duration::from_millis(500),
+        window: Duration::from_secs(1),
+        truth_share: 0.0,
+        ..config()
+    };
+    let link = LinkRules::default().with_delay(Duration::from_millis(15)).with_loss(0.01);
+    let row = measure(&stage(), None, &config, &Net::QuicOver(link), "visible").unwrap();
+    assert!(row.net == "quic" && row.rtt_ms >= 30.0 && row.poses_per_client_s > 5.0, "{row:?}");
+}

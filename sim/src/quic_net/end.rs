@@ -28,7 +28,8 @@ pub(super) struct End {
     /// Whether the peer has all that was said.
     is_heard_out: bool,
     /// What is in quinn's buffer of datagrams, in order: quinn does not say which of them a packet carries.
-    waiting: VecDeque<Vec<u8>>,
+    waiting: VecDeque<(WorldTime, Vec<u8>)>,
+    waited_max: Duration,
     waiting_bytes: usize,
     buffer_bytes: usize,
     /// DATAGRAM frames sent so far.
@@ -63,6 +64,7 @@ impl End {
             closing: None,
             is_heard_out: false,
             waiting: VecDeque::new(),
+            waited_max: Duration::ZERO,
             waiting_bytes: 0,
             buffer_bytes,
             frames: 0,
@@ -84,24 +86,30 @@ impl End {
     }
 
     /// Takes a datagram, as the shells do: the oldest that wait make room, and what is too large for the path is dropped.
-    pub fn send_datagram(&mut self, bytes: Vec<u8>, dropped: &mut Vec<Vec<u8>>) {
+    pub fn send_datagram(&mut self, bytes: Vec<u8>, now: WorldTime, dropped: &mut Vec<Vec<u8>>) {
         let size = bytes.len() + DATAGRAM_OVERHEAD;
         let fits = self.is_open() && self.connection.datagrams().max_size().is_some_and(|most| bytes.len() <= most);
         if !fits || size > self.buffer_bytes {
             return dropped.push(bytes);
         }
         while self.waiting_bytes + size > self.buffer_bytes {
-            let Some(oldest) = self.waiting.pop_front() else { break };
+            let Some((since, oldest)) = self.waiting.pop_front() else { break };
+            self.waited_max = self.waited_max.max(now.since(since));
             self.waiting_bytes -= oldest.len() + DATAGRAM_OVERHEAD;
             dropped.push(oldest);
         }
         match self.connection.datagrams().send(Bytes::from(bytes.clone()), true) {
             Ok(()) => {
                 self.waiting_bytes += size;
-                self.waiting.push_back(bytes);
+                self.waiting.push_back((now, bytes));
             }
             Err(_) => dropped.push(bytes),
         }
+    }
+
+    /// Longest time for which a datagram waited here.
+    pub fn waited_max(&self) -> Duration {
+        self.waited_max
     }
 
     /// Closes once everything is said.
@@ -217,7 +225,13 @@ impl End {
     }
 
     /// Makes packets of all that may be sent now; whether there were any.
-    pub fn transmit(&mut self, client: usize, at: Instant, packet: &mut Vec<u8>, out: &mut VecDeque<Output>) -> bool {
+    pub fn transmit(
+        &mut self,
+        client: usize,
+        (at, now): (Instant, WorldTime),
+        packet: &mut Vec<u8>,
+        out: &mut VecDeque<Output>,
+    ) -> bool {
         let mut is_any = false;
         loop {
             packet.clear();
@@ -227,7 +241,9 @@ impl End {
             let count = usize::try_from(frames - self.frames).unwrap_or(usize::MAX).min(self.waiting.len());
             debug_assert_eq!(count as u64, frames - self.frames, "quinn sends what it was given, in order");
             self.frames = frames;
-            let carried: Vec<Vec<u8>> = self.waiting.drain(..count).collect();
+            let longest = self.waiting.iter().take(count).map(|(since, _)| now.since(*since)).max();
+            self.waited_max = self.waited_max.max(longest.unwrap_or_default());
+            let carried: Vec<Vec<u8>> = self.waiting.drain(..count).map(|(_, bytes)| bytes).collect();
             self.waiting_bytes -= carried.iter().map(|bytes| bytes.len() + DATAGRAM_OVERHEAD).sum::<usize>();
             let bytes = packet[..transmit.size].to_vec();
             out.push_back(Output::Packet { client, direction: self.direction, bytes, carried });

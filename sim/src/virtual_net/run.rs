@@ -148,7 +148,7 @@ impl VirtualRun {
     /// Sends these bytes as if the client's session had made them; a control message without its length prefix.
     pub fn send_raw(&mut self, client: usize, kind: Kind, bytes: Vec<u8>, observer: &mut dyn Observer) {
         match kind {
-            Kind::Datagram => self.transport.send_datagram(client, Direction::Up, bytes),
+            Kind::Datagram => self.transport.send_datagram(client, Direction::Up, bytes, self.now),
             Kind::Control => {
                 let length = u32::try_from(bytes.len()).unwrap_or(u32::MAX).to_le_bytes();
                 self.transport.send_control(client, Direction::Up, &[&length[..], &bytes].concat());
@@ -250,7 +250,7 @@ impl VirtualRun {
         self.send_control(number);
         let Some(limit) = self.transport.datagram_limit(number) else { return };
         while let Some(bytes) = self.clients[number].session.poll_datagram(limit, local) {
-            self.transport.send_datagram(number, Direction::Up, bytes);
+            self.transport.send_datagram(number, Direction::Up, bytes, self.now);
         }
     }
 
@@ -292,7 +292,7 @@ impl VirtualRun {
         // As the QUIC shell does: questions that an answer raised leave at once, the rest with the next frame.
         if let Some(limit) = self.transport.datagram_limit(number) {
             while let Some(bytes) = self.clients[number].session.poll_urgent(limit, local) {
-                self.transport.send_datagram(number, Direction::Up, bytes);
+                self.transport.send_datagram(number, Direction::Up, bytes, self.now);
             }
         }
         self.send_control(number);
@@ -342,6 +342,12 @@ impl VirtualRun {
     /// A client's UDP datagrams and bytes so far: sent, sent bytes, received, received bytes. `None` without QUIC.
     pub fn udp(&self, client: usize) -> Option<[u64; 4]> {
         self.transport.udp(client)
+    }
+
+    /// Longest time for which a datagram waited in QUIC's buffer until it left, or was dropped for a newer one; zero without
+    /// QUIC.
+    pub fn waited_max(&self, client: usize, direction: Direction) -> Duration {
+        self.transport.waited_max(client, direction)
     }
 
     /// Hash of everything that arrived so far: time, client, direction and bytes. Equal runs have equal digests.

@@ -5,6 +5,7 @@
 //! packet, and the control stream is left to the link. QUIC is in [`crate::quic_net`].
 
 use std::collections::VecDeque;
+use std::time::Duration;
 
 use eyeline_protocol::WorldTime;
 use eyeline_protocol::codec::DecodeError;
@@ -52,7 +53,7 @@ pub(crate) trait Transport {
     fn connect(&mut self, client: usize, plan: &ClientPlan, now: WorldTime);
 
     /// Sends a datagram.
-    fn send_datagram(&mut self, client: usize, direction: Direction, bytes: Vec<u8>);
+    fn send_datagram(&mut self, client: usize, direction: Direction, bytes: Vec<u8>, now: WorldTime);
 
     /// Sends bytes of the control stream, length prefix included.
     fn send_control(&mut self, client: usize, direction: Direction, bytes: &[u8]);
@@ -79,6 +80,12 @@ pub(crate) trait Transport {
         true
     }
 
+    /// Longest time for which a datagram waited at the end that sends in `direction` until it left, or was dropped.
+    fn waited_max(&self, client: usize, direction: Direction) -> Duration {
+        let _ = (client, direction);
+        Duration::ZERO
+    }
+
     /// A client's UDP datagrams and bytes so far: sent, sent bytes, received, received bytes. `None` without UDP.
     fn udp(&self, client: usize) -> Option<[u64; 4]> {
         let _ = client;
@@ -100,7 +107,7 @@ impl Transport for Direct {
         self.out.push_back(Output::Connected { client, datagram_limit: plan.datagram_limit });
     }
 
-    fn send_datagram(&mut self, client: usize, direction: Direction, bytes: Vec<u8>) {
+    fn send_datagram(&mut self, client: usize, direction: Direction, bytes: Vec<u8>, _: WorldTime) {
         self.out.push_back(Output::Packet { client, direction, bytes, carried: Vec::new() });
     }
 

@@ -48,6 +48,7 @@ fn the_same_seed_gives_the_same_messages_though_its_ciphertext_differs() {
     assert!(one.1 > 500 && one.2.len() > 500, "{} messages in {} packets", one.1, one.2.len());
     assert_eq!((one.0, one.1), (again.0, again.1));
     assert_eq!(one.2, again.2, "times and sizes of packets");
+    assert!(one.2.iter().all(|&(.., bytes)| bytes <= 1_200), "every path carries them");
     let differing = one.3.iter().zip(&again.3).filter(|(one, again)| one.3 != again.3).count();
     assert!(differing * 10 > one.3.len() * 9, "TLS has keys of its own in each run: {differing}");
     assert_ne!(one.0, other.0);
@@ -67,6 +68,7 @@ fn loss_and_jitter_cost_neither_connections_nor_the_picture() {
         let lost: u64 =
             village.run.clients().iter().map(|client| client.up.stats().lost + client.down.stats().lost).sum();
         assert!(lost > 50, "seed {seed}: {lost}");
+        assert_short_waits(&village);
     }
 }
 
@@ -86,6 +88,7 @@ fn five_seconds_of_darkness_pass() {
     village.run_for(ms(4_000), &mut truth);
     truth.assert_kept("after the darkness");
     assert!(truth.visible_checked > 500, "{}", truth.visible_checked);
+    assert_short_waits(&village);
     assert!(village.run.clients().iter().all(|client| client.is_connected()));
 }
 
@@ -131,17 +134,36 @@ fn who_leaves_is_let_go_at_once_and_who_is_refused_hears_why() {
 
 #[test]
 fn a_narrow_path_delays_what_is_said_but_loses_no_connection() {
-    // A tenth of what they would say: quinn's windows and our own leases must cope.
-    let mut rules = Rules::over_quic(6, LinkRules::default().with_delay(ms(25)));
-    let rate = std::num::NonZeroU64::new(12_000).expect("not zero");
-    rules.capacity = Capacity::default().with_rate(rate).with_queue_bytes(3_000);
-    let mut village = Village::new(&rules);
-    village.settle(ms(15_000));
-    let mut overflowed = 0;
-    for person in PEOPLE {
-        let client = &village.run.clients()[person];
-        assert!(client.is_connected() && client.session.welcome().is_some(), "{person}: {:?}", client.closed());
-        overflowed += client.up.stats().overflowed + client.down.stats().overflowed;
-    }
+    let live = |bits: u64| {
+        let mut rules = Rules::over_quic(6, LinkRules::default().with_delay(ms(25)));
+        let rate = std::num::NonZeroU64::new(bits).expect("not zero");
+        rules.capacity = Capacity::default().with_rate(rate).with_queue_bytes(3_000);
+        let mut village = Village::new(&rules);
+        village.settle(ms(15_000));
+        let mut overflowed = 0;
+        for person in PEOPLE {
+            let client = &village.run.clients()[person];
+            assert!(client.is_connected() && client.session.welcome().is_some(), "{person}: {:?}", client.closed());
+            overflowed += client.up.stats().overflowed + client.down.stats().overflowed;
+        }
+        (village, overflowed)
+    };
+    let (village, overflowed) = live(200_000);
+    assert_eq!(overflowed, 0, "it was narrow");
+    assert_short_waits(&village);
+    // Less than they would say: quinn's windows and our own leases must cope.
+    let (village, overflowed) = live(12_000);
     assert!(overflowed > 10, "{overflowed}: it was not narrow");
+    // What has to wait does so in quinn's buffer, where no newer state can take its place.
+    let waited = PEOPLE.map(|person| village.run.waited_max(person, Direction::Down)).max();
+    assert!(waited.is_some_and(|waited| waited < ms(10_000)), "{waited:?}");
+}
+
+/// Where the path carries what is said, quinn's buffers hold no pose older than two ticks.
+#[track_caller]
+fn assert_short_waits(village: &Village) {
+    for person in PEOPLE {
+        let [up, down] = [Direction::Up, Direction::Down].map(|way| village.run.waited_max(person, way));
+        assert!(up.max(down) <= ms(100), "{person}: {up:?} up, {down:?} down");
+    }
 }

@@ -43,7 +43,7 @@ impl VirtualRun {
             let Some(client) = self.client_of(id) else { continue };
             match transmit {
                 Transmit::Control(bytes) => self.transport.send_control(client, Direction::Down, &bytes),
-                Transmit::Datagram(bytes) => self.transport.send_datagram(client, Direction::Down, bytes),
+                Transmit::Datagram(bytes) => self.transport.send_datagram(client, Direction::Down, bytes, self.now),
                 // The model is not part of a virtual run: its clients have it.
                 Transmit::WorldBytes => {}
                 Transmit::Close(reason) => self.transport.close(client, Direction::Down, &reason, self.now),
