@@ -65,7 +65,7 @@ pub enum PvsError {
         source: std::io::Error,
     },
     /// The file is not a table.
-    #[error("{}: {source}", path.display())]
+    #[error("the table {}: {source}", path.display())]
     In {
         /// Which file.
         path: PathBuf,
