@@ -158,7 +158,7 @@ fn describe(options: &ServeOptions, model: &Model, settings: &PolicySettings, no
         "broadcast" => "every client is told everything",
         "radius" => "a client is told of what is near it",
         "grid" => "a client is told of what is in its square of the plan and the eight around it",
-        "pvs" => "a client is told of what is in a cell that may be seen from its own; sampled, so it may miss",
+        "pvs" => "a client is told of what is in a cell that may be seen from its own, as far as eyes were sampled",
         _ => "the server culls, and tells each client exactly what it sees",
     };
     let setting = settings.describe(&options.policy);

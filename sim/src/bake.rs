@@ -82,8 +82,7 @@ pub fn bake(stage: &Stage, config: &BakeConfig) -> anyhow::Result<PvsTable> {
         eyes: eyes.into_inner().unwrap_or_else(PoisonError::into_inner),
         cells_seen_from: sampled.iter().flatten().count() as u32,
     };
-    let rows: Vec<_> = (0..grid.cells()).map(|cell| inherited(&grid, &sampled, cell)).collect();
-    Ok(PvsTable::new(stage.model.info.hash, grid, facts, &rows)?)
+    Ok(PvsTable::new(stage.model.info.hash, grid, facts, |cell| inherited(&grid, &sampled, cell))?)
 }
 
 /// Pixels a side of the cube that is culled on: as fine as a client's.

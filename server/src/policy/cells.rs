@@ -24,8 +24,8 @@ pub struct CellGrid {
 }
 
 impl CellGrid {
-    /// Most cells of a grid. A table of so many is large, but still fits in memory.
-    pub const CELLS_MAX: u64 = 1 << 18;
+    /// Most cells of a grid: to bake a table of so many takes half a gigabyte, of four times as many eight.
+    pub const CELLS_MAX: u64 = 1 << 16;
 
     /// Cubes of `cell` metres that fill the box from `min` to `max` (relative to `anchor`) at least.
     ///

@@ -97,12 +97,11 @@ impl PolicySettings {
     /// The settings that the policy of this name reads, for reports; empty if it reads none.
     pub fn describe(&self, name: &str) -> String {
         match (name, &self.pvs) {
-            ("radius", _) => format!("{:.2} m, then {:.0} % farther", self.radius, self.hysteresis * 100.0),
-            ("grid", _) => format!("squares of {:.2} m", self.cell),
-            ("pvs", Some(table)) => {
-                let facts = table.facts();
-                format!("cells of {} m, {} eyes (sampled)", table.grid().cell(), facts.eyes)
+            ("radius", _) => {
+                format!("{:.2} m, kept to {:.2} m", self.radius, self.radius * (1.0 + self.hysteresis))
             }
+            ("grid", _) => format!("squares of {:.2} m", self.cell),
+            ("pvs", Some(table)) => format!("sampled, cells of {} m", table.grid().cell()),
             _ => String::new(),
         }
     }

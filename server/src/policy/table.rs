@@ -65,7 +65,7 @@ pub enum PvsError {
         source: std::io::Error,
     },
     /// The file is not a table.
-    #[error("{}: {source}", path.display())]
+    #[error("the table {}: {source}", path.display())]
     In {
         /// Which file.
         path: PathBuf,
@@ -139,12 +139,14 @@ fn hex(hash: &[u8; 32]) -> String {
 const MAGIC: [u8; 8] = *b"EYE-PVS\n";
 const VERSION: u32 = 1;
 const HEADER_BYTES: usize = 108;
+const RUN_BYTES: u64 = 8;
 
 /// Largest file of a table: what a server takes up without a second thought.
 const BYTES_MAX: u64 = 256 << 20;
 
 impl PvsTable {
-    /// A table of `world` (the model's SHA-256). `rows` has a set for each cell; all may be seen where it is `None`.
+    /// A table of `world` (the model's SHA-256). `row` says which cells may be seen from a cell; all if it says `None`. It is
+    /// asked for one cell after the other, so that not all sets need be in memory at once.
     ///
     /// # Errors
     /// If it would be too large.
@@ -152,13 +154,17 @@ impl PvsTable {
         world: [u8; 32],
         grid: CellGrid,
         facts: PvsFacts,
-        rows: &[Option<CellSet>],
+        mut row: impl FnMut(u32) -> Option<CellSet>,
     ) -> Result<PvsTable, PvsError> {
         let (mut starts, mut runs) = (vec![0], Vec::new());
         for cell in 0..grid.cells() {
-            match rows.get(cell as usize) {
-                Some(Some(row)) => runs.extend(row.runs()),
-                _ => runs.push((0, grid.cells())),
+            match row(cell) {
+                Some(row) => runs.extend(row.runs()),
+                None => runs.push((0, grid.cells())),
+            }
+            // Now, and not once memory is full.
+            if runs.len() as u64 * RUN_BYTES > BYTES_MAX {
+                return Err(PvsError::TooManyRuns);
             }
             starts.push(runs.len() as u32);
         }
@@ -209,7 +215,7 @@ impl PvsTable {
     }
 
     fn bytes(&self) -> u64 {
-        HEADER_BYTES as u64 + u64::from(self.grid.cells()) * 4 + self.runs.len() as u64 * 8
+        HEADER_BYTES as u64 + u64::from(self.grid.cells()) * 4 + self.runs.len() as u64 * RUN_BYTES
     }
 
     /// The file's bytes.
@@ -265,7 +271,7 @@ impl PvsTable {
         let eyes = u64::from_le_bytes(reader.take()?);
         let facts = PvsFacts { samples, eyes, cells_seen_from: reader.u32()? };
         let run_count = reader.u32()?;
-        let needed = HEADER_BYTES as u64 + u64::from(grid.cells()) * 4 + u64::from(run_count) * 8;
+        let needed = HEADER_BYTES as u64 + u64::from(grid.cells()) * 4 + u64::from(run_count) * RUN_BYTES;
         if bytes.len() as u64 != needed {
             return Err(PvsError::Length { found: bytes.len() as u64, needed });
         }
@@ -352,9 +358,8 @@ pub(super) mod tests {
             sees(cell).into_iter().for_each(|to| row.insert(to));
             (!row.is_empty()).then_some(row)
         };
-        let rows: Vec<_> = (0..grid.cells()).map(row).collect();
         let facts = PvsFacts { samples: 16, eyes: 100, cells_seen_from: 20 };
-        PvsTable::new([7; 32], grid, facts, &rows).unwrap()
+        PvsTable::new([7; 32], grid, facts, row).unwrap()
     }
 
     #[test]

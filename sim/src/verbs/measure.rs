@@ -477,3 +477,17 @@ pub fn explain(options: &Why) -> anyhow::Result<()> {
     super::print(&text);
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_setting_is_a_length_or_auto() {
+        assert_eq!(setting("auto"), Ok(Setting::Auto));
+        assert_eq!(setting("12.5"), Ok(Setting::Metres(12.5)));
+        for bad in ["", "0", "-1", "nan", "inf", "Auto", "1e8"] {
+            assert!(setting(bad).unwrap_err().ends_with("or auto"), "{bad}");
+        }
+    }
+}
