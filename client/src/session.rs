@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use eyeline_protocol::codec::{self, DatagramWriter, DecodeError};
 use eyeline_protocol::{
     Arrival, ClientControl, ClientHeader, ClientRecord, Interest, Link, LinkHeader, LocalTime, ObjectId, Orientation,
-    Position, Refusal, Role, ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
+    Position, Prediction, Refusal, Role, ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
 };
 use eyeline_visibility::{DynamicIndex, Occlusion};
 
@@ -190,7 +190,8 @@ impl Session {
                     welcome.blur,
                     welcome.classes.clone(),
                     (self.make_index)(),
-                );
+                )
+                .with_dead_reckoning(welcome.dead_reckoning_px);
                 self.tracker = Some(tracker);
                 self.poses = welcome.avatars.iter().map(|&(id, at, turn)| (id, (at, turn))).collect();
                 // Without a frame yet, say something: the clock needs a probe.
@@ -264,11 +265,12 @@ impl Session {
         self.stats.records_in += records.len() as u64;
         for record in records {
             match record {
-                ServerRecord::State { object, position, orientation } => {
+                ServerRecord::State { object, position, orientation, velocity } => {
                     if self.config.record_states {
                         self.states_received.push(object);
                     }
-                    tracker.handle_state(object, position, orientation, header.tick, occlusion, now);
+                    let state = Prediction { position, velocity, orientation, tick: header.tick };
+                    tracker.handle_state(object, state, occlusion, now);
                 }
                 ServerRecord::Bound { object, tbv } => tracker.handle_bound(object, tbv.tbv(header.tick), occlusion),
                 ServerRecord::Violation { object, issue, age_micros, present } => {
