@@ -108,10 +108,10 @@ fn what_comes_back_to_where_it_was_drawn_is_told_in_spite_of_dead_reckoning() {
     switch.0.lock().unwrap().0 = true;
     world.handle_datagram(client, &datagram(1, &[request(Want::State)]), WorldTime::ZERO);
     assert_eq!(told(&mut world, client).0.len(), 1);
-    let at = world.objects()[OTHER.index()].position;
+    let Object { position: at, orientation, .. } = world.objects()[OTHER.index()];
     let mut go = |position: Position, seq: u32, entitled: bool| {
         switch.0.lock().unwrap().0 = entitled;
-        let record = ClientRecord::Pose { object: OTHER, position, orientation: Orientation::default() };
+        let record = ClientRecord::Pose { object: OTHER, position, orientation };
         world.handle_datagram(other, &datagram(seq, &[record]), WorldTime::ZERO);
         let due = world.poll_timeout();
         world.tick(due);

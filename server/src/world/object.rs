@@ -208,13 +208,13 @@ impl Object {
         let (centre, radius, speed) = match (&self.path, self.owner) {
             (Some(path), _) if config.swept => {
                 let (middle, reach) = path.ball();
-                // However short the path, where it is on it is not to be known better than the blur.
-                let radius = blur::beside(reach + QUANTUM_METRES, config.blur);
-                (Position::from_metres(middle - anchor).unwrap_or(self.position), radius, 0.0)
+                // No smaller than the blur, however short the path: where it is on it is not to be known better.
+                let reach = reach.max(config.blur) + QUANTUM_METRES;
+                (Position::from_metres(middle - anchor).unwrap_or(self.position), reach, 0.0)
             }
             (None, None) if config.swept => {
-                let (centre, reach) = blur::blurred(self.position, config);
-                (centre, blur::beside(reach, config.blur), 0.0)
+                let (centre, radius) = blur::blurred(self.position, config);
+                (centre, radius, 0.0)
             }
             _ => {
                 let (centre, radius) = blur::blurred(self.position, config);
