@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use eyeline_protocol::codec::{self, DatagramWriter, DecodeError};
 use eyeline_protocol::{
     Arrival, ClientControl, ClientHeader, ClientRecord, Interest, Link, LinkHeader, LocalTime, ObjectId, Orientation,
-    Position, Refusal, Role, ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
+    Position, Prediction, Refusal, Role, ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
 };
 use eyeline_visibility::{DynamicIndex, Occlusion};
 
@@ -74,9 +74,6 @@ impl SessionConfig {
         SessionConfig { tracker, ..self }
     }
 }
-
-/// How fast a head turns at most, radians a second.
-const TURN_MAX: f64 = 2.0 * std::f64::consts::PI;
 
 /// What an application may want to know.
 #[derive(Clone, Debug, PartialEq)]
@@ -216,7 +213,8 @@ impl Session {
                     welcome.blur,
                     welcome.classes.clone(),
                     (self.make_index)(),
-                );
+                )
+                .with_dead_reckoning(welcome.dead_reckoning_px);
                 self.tracker = Some(tracker);
                 self.poses = welcome.avatars.iter().map(|&(id, at, turn)| (id, (at, turn))).collect();
                 // Without a frame yet, say something: the clock needs a probe.
@@ -293,11 +291,12 @@ impl Session {
         self.stats.records_in += records.len() as u64;
         for record in records {
             match record {
-                ServerRecord::State { object, position, orientation } => {
+                ServerRecord::State { object, position, orientation, velocity } => {
                     if self.config.record_states {
                         self.states_received.push(object);
                     }
-                    tracker.handle_state(object, position, orientation, header.tick, occlusion, now);
+                    let state = Prediction { position, velocity, orientation, tick: header.tick };
+                    tracker.handle_state(object, state, occlusion, now);
                 }
                 ServerRecord::Bound { object, tbv } => tracker.handle_bound(object, tbv.tbv(header.tick), occlusion),
                 ServerRecord::Violation { object, issue, age_micros, present } => {
@@ -349,7 +348,8 @@ impl Session {
         let round_trip = round_trip.map(|(usual, greatest)| greatest.max(usual.smoothed + 4 * usual.variation));
         let mut ahead = tracker.lead.ahead(round_trip, tracker.frame, avatar.motion);
         if self.config.interest == Interest::Frustum {
-            ahead.turn = Some(TURN_MAX * ahead.time.as_secs_f64());
+            // Whose head may turn as fast as it likes looks all round.
+            ahead.turn = avatar.turn_max.map(|turn_max| turn_max * ahead.time.as_secs_f64());
         }
         if tracker.sabotage == Some(Sabotage::PointLead) { Ahead { eye_radius: 0.0, ..ahead } } else { ahead }
     }

@@ -62,6 +62,7 @@ mod tests {
             policy: "visible".into(),
             tracking: true,
             blur: 1.0,
+            dead_reckoning_px: None,
             world: WorldInfo { name: "w".into(), hash: [0; 32], size_bytes: 0, two_sided: false },
             classes: Vec::new(),
             objects,

@@ -73,15 +73,17 @@ fn check_welcome(welcome: &Welcome) -> Result<(), DecodeError> {
     in_range("tick", welcome.tick_micros > 0)?;
     at_most("policy", welcome.policy.len(), NAME_BYTES_MAX)?;
     in_range("blur", is_size(welcome.blur))?;
+    in_range("dead reckoning", welcome.dead_reckoning_px.is_none_or(is_size))?;
     at_most("world name", welcome.world.name.len(), NAME_BYTES_MAX)?;
     at_most("classes", welcome.classes.len(), CLASSES_MAX)?;
-    welcome.classes.iter().try_for_each(|Class { name, motion, extent, eye_height }| {
+    welcome.classes.iter().try_for_each(|Class { name, motion, extent, eye_height, turn_max }| {
         let MotionBound { speed_max, slack } = *motion;
         let Extent { radius, bottom, top } = *extent;
         at_most("class name", name.len(), NAME_BYTES_MAX)?;
         in_range("motion", is_size(speed_max) && is_size(slack))?;
         in_range("extent", is_size(radius) && bottom.is_finite() && top.is_finite() && bottom <= top)?;
-        in_range("eye height", eye_height.is_finite())
+        in_range("eye height", eye_height.is_finite())?;
+        in_range("turn", turn_max.is_none_or(is_size))
     })
 }
 

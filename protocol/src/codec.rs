@@ -234,6 +234,11 @@ impl DatagramWriter {
         true
     }
 
+    /// Size so far, in bytes.
+    pub fn bytes(&self) -> usize {
+        self.bytes.len()
+    }
+
     /// The datagram.
     pub fn finish(self) -> Vec<u8> {
         self.bytes

@@ -50,6 +50,7 @@
 
 mod check;
 pub mod codec;
+mod dead_reckoning;
 mod ids;
 mod link;
 mod message;
@@ -60,6 +61,7 @@ mod time;
 mod untrusted;
 
 pub use check::{AVATARS_MAX, CLASSES_MAX, Message, NAME_BYTES_MAX, TOKEN_BYTES_MAX};
+pub use dead_reckoning::{ERROR_METRES_MAX, PREDICTED_MAX, Prediction, VELOCITY_QUANTUM, Velocity, pixels};
 pub use ids::{ClassId, ClientId, Issue, ObjectId};
 pub use link::{Arrival, Link, LinkHeader, RoundTrip};
 pub use message::{
@@ -72,7 +74,7 @@ pub use tbv::Tbv;
 pub use time::{LocalTime, WorldTime};
 
 /// Version of everything in this crate. Peers with different versions part at hello.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 
 /// ALPN protocol name offered in the TLS handshake. It names no version: a peer of another one is to hear so in words.
 pub const ALPN: &[u8] = b"eyeline";

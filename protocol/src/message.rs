@@ -12,8 +12,9 @@
 //!                                                record*
 //!
 //! record                          bytes          record                          bytes
-//! 0 Pose                          20             0 State                         20
+//! 0 Pose                          20             0 State                         23..29
 //!   object position orientation   3 12 4           object position orientation   3 12 4
+//!                                                  velocity                      3..9
 //! 1 Request                       6              1 Bound                         21..41
 //!   object want reason            3 1 1            object centre                 3 12
 //! 2 Release                       5                radius speed age valid issue  1..5 each
@@ -23,7 +24,7 @@
 //!                                                  object                        3
 //!
 //! control, client to server       bytes          control, server to client       bytes
-//! 0 Hello                         at most 1,300  0 Welcome                       19 an avatar, 49..306 a class
+//! 0 Hello                         at most 1,300  0 Welcome                       19 an avatar, 50..315 a class
 //! 1 WorldWanted                   1              1 Refused                       the reason's length and 3 or more
 //! 2 Place                         17             2 Roster                        9..566 an entry
 //!   object position present       3 12 1         3 Left                          3 an object
@@ -37,7 +38,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    ClassId, ClientId, Extent, Issue, LinkHeader, MotionBound, ObjectId, Orientation, Position, Tbv, WorldTime,
+    ClassId, ClientId, Extent, Issue, LinkHeader, MotionBound, ObjectId, Orientation, Position, Tbv, Velocity,
+    WorldTime,
 };
 use crate::{QUANTUM_METRES, untrusted};
 
@@ -118,6 +120,8 @@ pub struct Class {
     pub extent: Extent,
     /// Height of the eye above the reference point, metres; 0 for things without one.
     pub eye_height: f64,
+    /// How fast it turns about +Y at most, radians a second, enforced by the server; `None` if that is not bounded.
+    pub turn_max: Option<f64>,
 }
 
 /// Names the static world.
@@ -155,6 +159,9 @@ pub struct Welcome {
     pub tracking: bool,
     /// Least radius within which a hidden object's place is kept uncertain, metres.
     pub blur: f64,
+    /// States are told only when what was told before would be drawn wrong by more than so many pixels; `None` if at each
+    /// change.
+    pub dead_reckoning_px: Option<f64>,
     /// The static world.
     pub world: WorldInfo,
     /// Kinds of objects; a [`ClassId`] is an index.
@@ -368,7 +375,7 @@ impl WireTbv {
 /// Server to client, in a datagram. All are true at the header's `tick`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ServerRecord {
-    /// Where a visible object is. 20 bytes.
+    /// Where a visible object is. 23 bytes, or up to 29 while it moves.
     State {
         /// Which.
         object: ObjectId,
@@ -376,6 +383,8 @@ pub enum ServerRecord {
         position: Position,
         /// How it is turned.
         orientation: Orientation,
+        /// How it goes on until the next state; zero without dead reckoning.
+        velocity: Velocity,
     },
     /// Where a hidden object may be.
     Bound {

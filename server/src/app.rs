@@ -73,6 +73,15 @@ pub struct ServeOptions {
     #[arg(long)]
     pub audit: bool,
 
+    /// Tell a state only when a client would otherwise draw something wrong by more than so many of its pixels [default: at
+    /// each change]
+    #[arg(long, value_name = "PX", value_parser = number(0.0..=1000.0, "px"))]
+    pub dead_reckoning: Option<f64>,
+
+    /// Most bytes a second to one client; what is largest and oldest goes first [default: no limit]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1000..))]
+    pub bytes_per_second: Option<u32>,
+
     /// Once listening, write the address and the fingerprint into this file, a line each, for scripts and
     /// `--server-file`; it is removed at the end
     #[arg(long, value_name = "FILE")]
@@ -106,6 +115,8 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         .with_tick(Duration::from_secs_f64(1.0 / options.tick_hz))
         .with_blur(options.blur)
         .with_grid_seed(grid_seed)
+        .with_dead_reckoning_px(options.dead_reckoning)
+        .with_bytes_per_second(options.bytes_per_second)
         .with_avatars_max(options.max_avatars as usize);
     let clock = WorldClock::starting_at(unix_time());
     let mut settings = PolicySettings::default().with_radius(options.radius).with_cell(options.cell);
@@ -163,10 +174,15 @@ fn describe(options: &ServeOptions, model: &Model, settings: &PolicySettings, no
     };
     let setting = settings.describe(&options.policy);
     let setting = if setting.is_empty() { setting } else { format!(" ({setting})") };
+    let reckoning = options.dead_reckoning.map_or(String::new(), |px| format!("; dead reckoning within {px} px"));
+    let cap = options.bytes_per_second.map_or(String::new(), |bytes| format!("; at most {bytes} B/s a client"));
     let tick_ms = 1e3 / options.tick_hz;
     let (policy, blur) = (&options.policy, options.blur);
     let audit = if options.audit { "; places are told only after an audit" } else { "" };
-    let _ = writeln!(text, "plan         {policy}: {how}{setting}{audit}; tick {tick_ms} ms, blur {blur} m");
+    let _ = writeln!(
+        text,
+        "plan         {policy}: {how}{setting}{audit}{reckoning}{cap}; tick {tick_ms} ms, blur {blur} m"
+    );
     text
 }
 
@@ -176,7 +192,7 @@ fn summary(handle: &Handle) -> String {
     let shell = handle.stats();
     format!(
         "ended        {} clients admitted, {} refused; rejected {} control messages, {} datagrams; {} messages in, \
-         {} out; {} poses held back; {} places withheld; {} ticks, {} missed; {} slow readers\n",
+         {} out; {} poses and {} turns held back; {} places withheld; {} states capped, {} of them late; {} ticks, {} missed; {} slow readers\n",
         stats.admitted,
         stats.refused,
         stats.rejected_control,
@@ -184,7 +200,10 @@ fn summary(handle: &Handle) -> String {
         stats.messages_in.total(),
         stats.out.total(),
         stats.poses_clamped,
+        stats.turns_clamped,
         stats.withheld,
+        stats.capped,
+        stats.capped_late,
         stats.ticks,
         stats.ticks_missed,
         shell.slow_readers,

@@ -39,11 +39,15 @@ pub struct AvatarSpec {
     pub eye_height: f64,
     /// Greatest speed.
     pub speed_max: f64,
+    /// Greatest rate of turn about the vertical. 2π by default: a natural turn of the head peaks at about a turn a second,
+    /// while one flick of a mouse may be faster and then is committed over a few ticks. `inf` for no bound; `interest =
+    /// frustum` needs one.
+    pub turn_max: f64,
 }
 
 impl Default for AvatarSpec {
     fn default() -> AvatarSpec {
-        AvatarSpec { radius: 0.3, height: 1.75, eye_height: 1.6, speed_max: 2.0 }
+        AvatarSpec { radius: 0.3, height: 1.75, eye_height: 1.6, speed_max: 2.0, turn_max: std::f64::consts::TAU }
     }
 }
 

@@ -9,6 +9,7 @@
 //! as a [`Validity`] says; [`FuzzySpeeds`] stand in for limits that are unknown or loose (§3.2, §3.4, §3.5).
 
 mod config;
+mod dead_reckoning;
 mod expiry;
 mod explain;
 mod fuzzy;

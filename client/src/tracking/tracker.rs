@@ -4,11 +4,13 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use eyeline_protocol::{
-    Class, ClientRecord, Issue, LocalTime, ObjectId, Orientation, Position, Reason, RosterEntry, Tbv, Want, WorldTime,
+    Class, ClientRecord, Issue, LocalTime, ObjectId, Orientation, Position, Prediction as State, Reason, RosterEntry,
+    Tbv, Want, WorldTime,
 };
 use eyeline_visibility::{Bound, DynamicIndex, Occlusion};
 use glam::DVec3;
 
+use super::dead_reckoning;
 use super::{Ahead, BeliefKind, Decision, ExpiryQueue, Explanation, Growth, Sabotage, TrackerConfig, TrackerStats};
 
 /// Something that the client shows.
@@ -16,19 +18,12 @@ use super::{Ahead, BeliefKind, Decision, ExpiryQueue, Explanation, Growth, Sabot
 pub struct Drawn {
     /// Which object.
     pub object: ObjectId,
-    /// Where it was last known to be.
+    /// Where its last state has it by now.
     pub position: Position,
     /// How it was turned.
     pub orientation: Orientation,
-    /// World time of that knowledge.
+    /// World time of that state.
     pub tick: WorldTime,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct State {
-    position: Position,
-    orientation: Orientation,
-    tick: WorldTime,
 }
 
 /// What the client believes about an object.
@@ -107,6 +102,8 @@ pub struct Tracker {
     /// Whether the client asks (`visible`) or is told.
     tracking: bool,
     blur: f64,
+    /// How far what is drawn may be from the truth without a word from the server, metres.
+    tolerance: f64,
     classes: Vec<Class>,
     /// D.
     entries: BTreeMap<ObjectId, Entry>,
@@ -159,6 +156,7 @@ impl Tracker {
             config,
             tracking,
             blur,
+            tolerance: 0.0,
             classes,
             entries: BTreeMap::new(),
             index,
@@ -181,6 +179,11 @@ impl Tracker {
             timeout: Duration::from_secs(1),
             stats: TrackerStats::default(),
         }
+    }
+
+    /// Takes the welcome's word for how wrong what is drawn may be.
+    pub fn with_dead_reckoning(self, allowed_px: Option<f64>) -> Tracker {
+        Tracker { tolerance: dead_reckoning::tolerance(allowed_px), ..self }
     }
 
     /// Replaces T by an empty `index`, for instance one that knows how large the world is. What was in it is settled anew
@@ -276,18 +279,10 @@ impl Tracker {
         self.entries.remove(&object);
     }
 
-    /// Where an object was at `tick`. With the newest frame's `occlusion` it is decided at once whether an object that was
+    /// Where an object was at a tick, and how it goes on. With the newest frame's `occlusion` it is decided at once whether an object that was
     /// asked for its place is in sight.
-    pub fn handle_state(
-        &mut self,
-        object: ObjectId,
-        position: Position,
-        orientation: Orientation,
-        tick: WorldTime,
-        occlusion: Option<&dyn Occlusion>,
-        now: LocalTime,
-    ) {
-        let state = State { position, orientation, tick };
+    pub fn handle_state(&mut self, object: ObjectId, state: State, occlusion: Option<&dyn Occlusion>, now: LocalTime) {
+        let State { position, tick, .. } = state;
         let Some(entry) = self.entries.get_mut(&object) else {
             self.stats.stale += 1;
             if !self.tracking && self.early.len() < EARLY_MAX {
@@ -528,7 +523,7 @@ impl Tracker {
 
     /// Tests each object of V where it may be by now.
     fn test_visible(&mut self, occlusion: &dyn Occlusion, now: LocalTime) {
-        // A change would have been pushed: what was not heard of for longer than this has not moved.
+        // A change would have been pushed: what was not heard of for longer than this is where it was thought to be then.
         let silence = self.config.frame.as_secs_f64() * 2.0 + self.round_trip.unwrap_or_default().as_secs_f64();
         let ahead = self.ahead.time.as_secs_f64();
         self.stats.work += self.visible.len() as u64;
@@ -538,8 +533,10 @@ impl Tracker {
             let class = &self.classes[entry.class];
             // Where updates were declined, silence says nothing about the time since.
             let declined = entry.released_at.filter(|_| entry.releasing).map_or(0.0, |at| now.since(at).as_secs_f64());
-            let age = self.latest.seconds_since(state.tick).clamp(0.0, silence + declined) + ahead;
-            let bound = extent_bound(class, state.position.metres(), class.motion.reach(age));
+            let (latest, silence) = (self.latest, silence + declined);
+            let (middle, reach) = dead_reckoning::ball(&state, class.motion, latest, silence, self.tolerance);
+            // Where it may get to by the end of the lead.
+            let bound = extent_bound(class, middle, reach + class.motion.speed_max * ahead);
             entry.hidden_frames = if occlusion.hides(&bound) { entry.hidden_frames + 1 } else { 0 };
         }
     }
@@ -832,7 +829,8 @@ impl Tracker {
         self.visible.iter().filter(|_| !self.is_cut_off).filter_map(|&object| {
             let entry = self.entries.get(&object).filter(|entry| !self.is_stale(entry))?;
             let state = entry.state?;
-            let drawn = Drawn { object, position: state.position, orientation: state.orientation, tick: state.tick };
+            let position = dead_reckoning::drawn(&state, self.latest);
+            let drawn = Drawn { object, position, orientation: state.orientation, tick: state.tick };
             Some((drawn, entry.hidden_frames == 0))
         })
     }

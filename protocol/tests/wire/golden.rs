@@ -74,7 +74,9 @@ fn sizes_are_those_of_the_table() {
         let sample = samples::client_records().into_iter().find(|sample| sample.name == name).unwrap();
         assert_eq!(sample.bytes().len(), bytes, "{name}");
     }
-    for (name, bytes) in [("state", 20), ("longest bound", 41), ("longest violation", 19), ("hidden", 4)] {
+    for (name, bytes) in
+        [("state", 23), ("longest state", 29), ("longest bound", 41), ("longest violation", 19), ("hidden", 4)]
+    {
         let sample = samples::server_records().into_iter().find(|sample| sample.name == name).unwrap();
         assert_eq!(sample.bytes().len(), bytes, "{name}");
     }
@@ -120,6 +122,7 @@ fn whatever_is_legal_fits() {
         motion: MotionBound { speed_max: 1e6, slack: 1.0 },
         extent: Extent { radius: 1.0, bottom: -1.0, top: 1.0 },
         eye_height: 1.0,
+        turn_max: Some(1.0),
     };
     let welcome = |avatars, classes| {
         ServerControl::Welcome(Box::new(Welcome {
@@ -131,6 +134,7 @@ fn whatever_is_legal_fits() {
             policy: name.clone(),
             tracking: true,
             blur: 1e3,
+            dead_reckoning_px: Some(1.0),
             world: WorldInfo { name: name.clone(), hash: [0xff; 32], size_bytes: u64::MAX, two_sided: true },
             classes: vec![class.clone(); classes],
             objects: u32::MAX,
@@ -138,7 +142,7 @@ fn whatever_is_legal_fits() {
     };
     let size = |avatars, classes| control_bytes(&welcome(avatars, classes)).len();
     assert_eq!(size(2, 1) - size(1, 1), 19);
-    assert_eq!(size(1, 2) - size(1, 1), 306);
+    assert_eq!(size(1, 2) - size(1, 1), 315);
     let greatest = welcome(AVATARS_MAX, CLASSES_MAX);
     assert_eq!(codec::decode_server_control(&control_bytes(&greatest)), Ok(greatest));
 

@@ -200,25 +200,25 @@ fn a_claimed_length_costs_nothing() {
 fn a_list_that_claims_too_much_is_an_error() {
     // Up to the length of each list and string of a message.
     let prefixes: [(&str, Decoder, &str); 13] = [
-        ("token", DECODERS[0], "00 01"),
-        ("name", DECODERS[0], "00 01 00 00 00 00 00"),
+        ("token", DECODERS[0], "00 02"),
+        ("name", DECODERS[0], "00 02 00 00 00 00 00"),
         ("avatars", DECODERS[1], "00 01 00"),
         ("policy", DECODERS[1], "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01"),
         (
             "world",
             DECODERS[1],
-            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 000000000000f03f",
+            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 000000000000f03f 00",
         ),
         (
             "classes",
             DECODERS[1],
-            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 000000000000f03f 00 \
+            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 000000000000f03f 00 00 \
              0000000000000000000000000000000000000000000000000000000000000000 00",
         ),
         (
             "class",
             DECODERS[1],
-            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 000000000000f03f 00 \
+            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 000000000000f03f 00 00 \
              0000000000000000000000000000000000000000000000000000000000000000 00 01",
         ),
         ("reason", DECODERS[1], "01 00"),
@@ -280,6 +280,8 @@ fn impossible_values_are_refused_by_name() {
     assert_eq!(fault(|w| w.tick_micros = 0), value("tick"));
     assert_eq!(fault(|w| w.blur = -1.0), value("blur"));
     assert_eq!(fault(|w| w.blur = f64::NAN), value("blur"));
+    assert_eq!(fault(|w| w.dead_reckoning_px = Some(f64::NAN)), value("dead reckoning"));
+    assert_eq!(fault(|w| w.classes[0].turn_max = Some(-1.0)), value("turn"));
     assert_eq!(fault(|w| w.classes[0].motion.speed_max = f64::INFINITY), value("motion"));
     assert_eq!(fault(|w| w.classes[0].motion.slack = -1.0), value("motion"));
     assert_eq!(fault(|w| w.classes[0].extent.radius = f64::NAN), value("extent"));
@@ -290,11 +292,11 @@ fn impossible_values_are_refused_by_name() {
     assert_eq!(fault(|w| w.classes = vec![w.classes[0].clone(); 513]), length("classes", CLASSES_MAX));
 
     // A welcome with a tick of 0, as bytes.
-    let no_tick = "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 00 00 01 000000000000f03f 00 \
+    let no_tick = "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 00 00 01 000000000000f03f 00 00 \
                    0000000000000000000000000000000000000000000000000000000000000000 00 00 00 00";
     assert_eq!(DECODERS[1](&samples::bytes(no_tick)), value("tick"));
     // A replay of 65,535 avatars.
-    let horde = samples::bytes("00 01 00 00 00 00 01fbffff 00");
+    let horde = samples::bytes("00 02 00 00 00 00 01fbffff 00");
     assert_eq!(DECODERS[0](&horde), length("avatars", AVATARS_MAX));
 }
 
@@ -415,8 +417,8 @@ proptest! {
 fn assert_pose_size(object: ObjectId, position: Position, orientation: Orientation) {
     let pose = ClientRecord::Pose { object, position, orientation };
     assert_eq!(samples::record_bytes(&pose).len(), 20);
-    let state = ServerRecord::State { object, position, orientation };
-    assert_eq!(samples::record_bytes(&state).len(), 20);
+    let state = ServerRecord::State { object, position, orientation, velocity: Velocity::ZERO };
+    assert_eq!(samples::record_bytes(&state).len(), 23);
 }
 
 #[test]

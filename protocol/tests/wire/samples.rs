@@ -77,7 +77,7 @@ pub fn client_control() -> Vec<Sample<ClientControl>> {
                 role: Role::Avatar,
                 name: "Ada".into(),
             },
-            hex: "00 01 02aabb fb4001 f0 00 00 03416461",
+            hex: "00 02 02aabb fb4001 f0 00 00 03416461",
         },
         Sample {
             name: "hello of a replay",
@@ -89,7 +89,7 @@ pub fn client_control() -> Vec<Sample<ClientControl>> {
                 role: Role::Actor { avatars: 32 },
                 name: String::new(),
             },
-            hex: "00 01 00 00 00 01 0120 00",
+            hex: "00 02 00 00 00 01 0120 00",
         },
         Sample { name: "world wanted", message: ClientControl::WorldWanted, hex: "01" },
         Sample {
@@ -107,6 +107,7 @@ pub fn server_control() -> Vec<Sample<ServerControl>> {
         motion: MotionBound { speed_max: 2.0, slack: 0.125 },
         extent: Extent { radius: 0.25, bottom: 0.0, top: 1.75 },
         eye_height: 1.5,
+        turn_max: Some(4.0),
     };
     let welcome = Welcome {
         version: VERSION,
@@ -117,6 +118,7 @@ pub fn server_control() -> Vec<Sample<ServerControl>> {
         policy: "visible".into(),
         tracking: true,
         blur: 1.0,
+        dead_reckoning_px: Some(0.5),
         world: WorldInfo { name: "rooms".into(), hash: [0x5a; 32], size_bytes: 1 << 32, two_sided: true },
         classes: vec![avatar],
         objects: 300,
@@ -144,11 +146,11 @@ pub fn server_control() -> Vec<Sample<ServerControl>> {
         Sample {
             name: "welcome",
             message: ServerControl::Welcome(Box::new(welcome)),
-            hex: "00 01 fb2c01 01 010203 04030201 ffffffff 00040000 fffdf75f \
- 000000000000f03f 00000000000000c0 000000000000e03f fb50c3 0776697369626c65 01 000000000000f03f \
+            hex: "00 02 fb2c01 01 010203 04030201 ffffffff 00040000 fffdf75f \
+ 000000000000f03f 00000000000000c0 000000000000e03f fb50c3 0776697369626c65 01 000000000000f03f 01000000000000e03f \
  05726f6f6d73 5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a fd0000000001000000 01 \
  01 06617661746172 0000000000000040 000000000000c03f \
- 000000000000d03f 0000000000000000 000000000000fc3f 000000000000f83f fb2c01",
+ 000000000000d03f 0000000000000000 000000000000fc3f 000000000000f83f 010000000000001040 fb2c01",
         },
         Sample { name: "refused: version", message: refused(Refusal::Version, "old"), hex: "01 00 036f6c64" },
         Sample { name: "refused: full", message: refused(Refusal::Full, ""), hex: "01 01 00" },
@@ -244,8 +246,23 @@ pub fn server_records() -> Vec<Sample<ServerRecord>> {
     vec![
         Sample {
             name: "state",
-            message: ServerRecord::State { object: OBJECT, position: POSITION, orientation: Orientation::default() },
-            hex: "00 010203 04030201 ffffffff 00040000 00000000",
+            message: ServerRecord::State {
+                object: OBJECT,
+                position: POSITION,
+                orientation: Orientation::default(),
+                velocity: Velocity { x: 1, y: -1, z: 0 },
+            },
+            hex: "00 010203 04030201 ffffffff 00040000 00000000 02 01 00",
+        },
+        Sample {
+            name: "longest state",
+            message: ServerRecord::State {
+                object: OBJECT,
+                position: POSITION,
+                orientation: Orientation::default(),
+                velocity: Velocity { x: i16::MAX, y: i16::MIN, z: 256 },
+            },
+            hex: "00 010203 04030201 ffffffff 00040000 00000000 fbfeff fbffff fb0002",
         },
         Sample {
             name: "bound",

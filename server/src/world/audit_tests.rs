@@ -4,10 +4,9 @@ use std::sync::{Arc, Mutex};
 
 use eyeline_protocol::{LinkHeader, Reason, ServerHeader, ServerRecord};
 
-use super::tests::{datagram, drain, join, world};
+use super::tests::{datagram, drain, join, world_of};
 use super::*;
-use crate::policy::Visible;
-use crate::policy::Watcher;
+use crate::policy::{Visible, Watcher};
 
 /// Entitles to what a switch says, and notes the eye regions.
 #[derive(Clone, Default)]
@@ -24,7 +23,11 @@ impl Audit for Switch {
 const OTHER: ObjectId = ObjectId(0);
 
 fn audited() -> (World, SessionId, SessionId, Switch) {
-    let mut world = world(Box::new(Visible));
+    audited_by(WorldConfig::default())
+}
+
+fn audited_by(config: WorldConfig) -> (World, SessionId, SessionId, Switch) {
+    let mut world = world_of(config, Box::new(Visible));
     let other = join(&mut world, Role::Avatar);
     let client = join(&mut world, Role::Avatar);
     drain(&mut world, client);
@@ -34,7 +37,7 @@ fn audited() -> (World, SessionId, SessionId, Switch) {
 }
 
 /// The records of what is sent to `client`.
-fn told(world: &mut World, client: SessionId) -> (Vec<ServerRecord>, Vec<ServerHeader>) {
+pub(super) fn told(world: &mut World, client: SessionId) -> (Vec<ServerRecord>, Vec<ServerHeader>) {
     let (mut records, mut headers) = (Vec::new(), Vec::new());
     for transmit in drain(world, client) {
         let Transmit::Datagram(bytes) = transmit else { continue };
@@ -96,6 +99,28 @@ fn what_goes_out_of_sight_is_bounded_once_and_told_when_it_comes_back() {
     world.tick(due);
     let (records, _) = told(&mut world, client);
     assert!(matches!(records[..], [ServerRecord::State { .. }]), "{records:?}");
+}
+
+/// A bound has taken the place of what was drawn, though that is right again.
+#[test]
+fn what_comes_back_to_where_it_was_drawn_is_told_in_spite_of_dead_reckoning() {
+    let (mut world, other, client, switch) = audited_by(WorldConfig::default().with_dead_reckoning_px(Some(1.0)));
+    switch.0.lock().unwrap().0 = true;
+    world.handle_datagram(client, &datagram(1, &[request(Want::State)]), WorldTime::ZERO);
+    assert_eq!(told(&mut world, client).0.len(), 1);
+    let Object { position: at, orientation, .. } = world.objects()[OTHER.index()];
+    let mut go = |position: Position, seq: u32, entitled: bool| {
+        switch.0.lock().unwrap().0 = entitled;
+        let record = ClientRecord::Pose { object: OTHER, position, orientation };
+        world.handle_datagram(other, &datagram(seq, &[record]), WorldTime::ZERO);
+        let due = world.poll_timeout();
+        world.tick(due);
+        told(&mut world, client).0
+    };
+    let away = go(Position { x: at.x + 100, ..at }, 1, false);
+    assert!(matches!(away[..], [ServerRecord::Bound { .. }]), "{away:?}");
+    let back = go(at, 2, true);
+    assert!(matches!(back[..], [ServerRecord::State { position, .. }] if position == at), "{back:?}");
 }
 
 #[test]

@@ -36,15 +36,6 @@ pub(super) fn blurred(place: Position, config: &WorldConfig) -> (Position, f64) 
     (Position::from_metres(centre).unwrap_or(place), config.blur + QUANTUM_METRES)
 }
 
-/// Radius of a ball that does not grow, for what stays within `reach` of its middle g.
-///
-/// √(reach² + blur²) leaves room beside any exact place p that a client was told before. Let ρ be what the object may have
-/// moved since, σ = min(ρ, blur), and u a direction at a right angle to p − g. Both points p ± σu are within ρ of p, and
-/// in the ball, since they are √(|p − g|² + σ²) from g. They are 2σ apart: no smaller ball than one of σ holds both.
-pub(super) fn beside(reach: f64, blur: f64) -> f64 {
-    reach.hypot(blur)
-}
-
 /// `tbv` as it has grown by `tick`, which says the same.
 fn grown(tbv: &Tbv, tick: WorldTime) -> Tbv {
     Tbv { radius: tbv.radius_at(tick), issued: tick, expires: tick + tbv.validity(), ..*tbv }
@@ -98,21 +89,30 @@ impl Known {
     /// the place, and so do those of all earlier places, slack included. Bounds since then are nested. So what can be
     /// known is the common part of that ball and the newest bound, which is what is looked at here. Later both grow by
     /// the same length, and their common part by at least that.
+    ///
+    /// A bound that does not grow must have room for what is promised later. Let d be the distance of the two middles. If
+    /// ρ is at least `blur` then a larger ρ only adds to the common part. If it is less, then for ρ = `blur` the common
+    /// part is large enough only if d² + blur² is at most the bound's radius squared, and then for any smaller ρ, too.
     pub fn answer(&mut self, fresh: Tbv, motion: MotionBound, blur: f64) -> Tbv {
-        // What does not grow has room beside any place that its object can be at ([`beside`]).
-        if self.issue != fresh.issue || blur <= 0.0 || fresh.speed <= 0.0 {
+        if self.issue != fresh.issue || blur <= 0.0 {
             return fresh;
         }
         let tick = fresh.issued;
         let growth = motion.speed_max * tick.seconds_since(self.at).max(0.0);
+        let judged = if fresh.speed > 0.0 { growth } else { growth.max(blur) };
         let distance = self.place.metres().distance(fresh.centre.metres());
-        if common_radius(distance, growth, fresh.radius) >= growth.min(blur) {
+        if common_radius(distance, judged, fresh.radius) >= judged.min(blur) {
             self.bound = Some(fresh);
             return fresh;
         }
         match &self.bound {
             Some(bound) => grown(bound, tick),
-            None => Tbv { centre: self.place, radius: (motion.slack + growth) * (1.0 + 1e-12), ..fresh },
+            None => Tbv {
+                centre: self.place,
+                radius: (motion.slack + growth) * (1.0 + 1e-12),
+                speed: motion.speed_max,
+                ..fresh
+            },
         }
     }
 }
@@ -275,22 +275,31 @@ mod tests {
             }
         }
 
-        /// What stands is bounded by a ball that does not grow, and keeps its blur beside any place that was told.
+        /// What stands or follows a path is bounded by a ball that does not grow, which keeps its blur beside any place in it
+        /// that was told, at all times to come.
         #[test]
-        fn a_bound_of_what_stands_keeps_its_blur(seed: u64, x in -9.0..9.0f64, z in -9.0..9.0f64) {
-            let mut walk = Walk::new(seed, None);
-            walk.object.position = Position::from_metres(DVec3::new(x, 0.0, z)).unwrap();
-            walk.tell_place();
-            for _ in 0..20 {
-                walk.tick = walk.tick + TICK;
-                let tbv = walk.ask();
-                prop_assert_eq!(tbv.speed, 0.0);
-                // The client may apply the class's bound to the place that it was told.
-                let growth = SPEED * walk.tick.seconds_since(walk.told_at);
-                let place = walk.object.position.metres();
-                let kept = common_reach(&[(place, growth), (tbv.centre.metres(), tbv.radius)]);
+        fn a_bound_that_does_not_grow_keeps_its_blur(radius in 1.0..4.0f64, share in 0.0..1.0f64, asked in 1..40i64) {
+            let place = Position::from_metres(DVec3::X * (radius * share)).unwrap();
+            let mut known = Known::new(place, WorldTime::ZERO, Issue(0));
+            let at = |ticks: i64| WorldTime::from_micros(ticks * 50_000);
+            let fresh = Tbv {
+                centre: Position::default(),
+                radius: radius + MOTION.slack,
+                speed: 0.0,
+                issued: at(asked),
+                expires: WorldTime::MAX,
+                issue: Issue(0),
+            };
+            let told = known.answer(fresh, MOTION, 1.0);
+            for ticks in asked..asked + 40 {
+                let growth = SPEED * at(ticks).seconds();
+                let bound = told.radius + told.speed * at(ticks).seconds_since(told.issued);
+                let kept = common_reach(&[(place.metres(), growth), (told.centre.metres(), bound)]);
                 prop_assert!(kept >= growth.min(1.0) - 2e-3, "{} m are left after {} m", kept, growth);
             }
+            // In the end it is told.
+            let fresh = Tbv { issued: at(200), ..fresh };
+            prop_assert_eq!(known.answer(fresh, MOTION, 1.0), fresh);
         }
 
         /// The ball around what two balls have in common, against points that both contain.

@@ -32,6 +32,12 @@ pub struct WorldConfig {
     /// greater one serves clients of longer round trips without delay, and tells a modified client more, which can
     /// pretend to any round trip.
     pub audit_radius_max: f64,
+    /// Tell a state only when what a client draws from the states that it may hold would be wrong by more than so many of
+    /// its pixels; default `None`: at each change. More saves messages and shows things where they are not.
+    pub dead_reckoning_px: Option<f64>,
+    /// Most bytes a second to one client in datagrams, QUIC and UDP apart; default `None`. Where it binds, the states that
+    /// are largest × oldest go first; violations, bounds and withdrawals are never held back.
+    pub bytes_per_second: Option<u32>,
     /// Most avatars; default 4096.
     pub avatars_max: usize,
     /// Where avatars start if the world names no place, relative to the anchor.
@@ -49,6 +55,8 @@ impl Default for WorldConfig {
             swept: true,
             lease: Duration::from_secs(3),
             audit_radius_max: 2.0,
+            dead_reckoning_px: None,
+            bytes_per_second: None,
             avatars_max: 4096,
             default_spawn: DVec3::ZERO,
         }
@@ -86,6 +94,16 @@ impl WorldConfig {
         WorldConfig { audit_radius_max, ..self }
     }
 
+    /// Sets by how many pixels what is drawn may be wrong before a state is told.
+    pub fn with_dead_reckoning_px(self, dead_reckoning_px: Option<f64>) -> WorldConfig {
+        WorldConfig { dead_reckoning_px, ..self }
+    }
+
+    /// Sets the most bytes a second to one client.
+    pub fn with_bytes_per_second(self, bytes_per_second: Option<u32>) -> WorldConfig {
+        WorldConfig { bytes_per_second, ..self }
+    }
+
     /// Sets the most avatars.
     pub fn with_avatars_max(self, avatars_max: usize) -> WorldConfig {
         WorldConfig { avatars_max, ..self }
@@ -100,6 +118,9 @@ impl WorldConfig {
         }
         if !(0.0..=1000.0).contains(&self.audit_radius_max) {
             return Err(WorldError::AuditRadius { radius: self.audit_radius_max });
+        }
+        if let Some(pixels) = self.dead_reckoning_px.filter(|pixels| !(0.0..=1000.0).contains(pixels)) {
+            return Err(WorldError::DeadReckoning { pixels });
         }
         Ok(())
     }
@@ -125,6 +146,12 @@ pub enum WorldError {
     AuditRadius {
         /// What was given.
         radius: f64,
+    },
+    /// The error that dead reckoning allows is out of range.
+    #[error("dead reckoning by {pixels} px is not between 0 and 1000 px; 1 px is usual")]
+    DeadReckoning {
+        /// What was given.
+        pixels: f64,
     },
     /// An object of a class that is not there.
     #[error(

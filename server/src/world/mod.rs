@@ -10,6 +10,7 @@
 
 mod blur;
 mod config;
+mod lens;
 mod object;
 mod session;
 mod stats;
@@ -18,16 +19,17 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use eyeline_protocol::{
-    CLASSES_MAX, Class, ClassId, ClientControl, ClientId, ClientRecord, Extent, Interest, LocalTime, MotionBound,
-    NAME_BYTES_MAX, ObjectId, Orientation, Position, QUANTUM_METRES, Refusal, Role, RosterEntry, ServerControl,
-    VERSION, Want, Welcome, WireTbv, WorldInfo, WorldTime, codec,
+    CLASSES_MAX, Class, ClassId, ClientControl, ClientId, ClientRecord, Extent, LocalTime, MotionBound, NAME_BYTES_MAX,
+    ObjectId, Orientation, Position, QUANTUM_METRES, Refusal, Role, RosterEntry, ServerControl, VERSION, Want, Welcome,
+    WireTbv, WorldInfo, WorldTime, codec,
 };
 use glam::DVec3;
 
 pub use config::{WorldConfig, WorldError};
+use lens::focal;
 pub use object::Object;
 pub(crate) use object::present;
-use session::{Phase, Session};
+use session::{Moment, Phase, Session};
 pub use stats::{MessageCounts, WorldStats};
 
 use crate::audit::Audit;
@@ -220,8 +222,11 @@ impl World {
                 self.stats.rejected_control += 1;
                 self.refuse(id, Refusal::Protocol, &format!("control message: {error}"));
             }
-            Ok(ClientControl::Hello { version, role, interest, .. }) if !live => {
-                self.admit(id, version, role, interest, now);
+            Ok(ClientControl::Hello { version, role, interest, resolution, .. }) if !live => {
+                if let Some(session) = self.sessions.get_mut(&id) {
+                    (session.interest, session.focal) = (interest, focal(resolution.0));
+                }
+                self.admit(id, version, role, now);
             }
             Ok(ClientControl::WorldWanted) if live => self.out.push_back((id, Transmit::WorldBytes)),
             Ok(ClientControl::Place { object, position, present }) if live => self.place(id, object, position, present),
@@ -264,7 +269,7 @@ impl World {
         self.out.push_back((id, Transmit::Close(reason.to_owned())));
     }
 
-    fn admit(&mut self, id: SessionId, version: u16, role: Role, interest: Interest, now: WorldTime) {
+    fn admit(&mut self, id: SessionId, version: u16, role: Role, now: WorldTime) {
         if version != VERSION {
             self.stats.refused += 1;
             let reason = format!("protocol version {version} is not the server's {VERSION}: update the older side");
@@ -314,6 +319,7 @@ impl World {
             policy: self.policy.name().to_owned(),
             tracking: self.policy.tracking(),
             blur: self.config.blur,
+            dead_reckoning_px: self.config.dead_reckoning_px,
             world: self.info.clone(),
             classes: self.classes.clone(),
             objects: others.len() as u32,
@@ -339,7 +345,6 @@ impl World {
         if let Some(session) = self.sessions.get_mut(&id) {
             session.phase = Phase::Live { slot, watches: role == Role::Avatar };
             session.avatars = avatars;
-            session.interest = interest;
             session.heard_at = now;
         }
         self.stats.admitted += 1;
@@ -537,9 +542,10 @@ impl World {
             if !object.alive {
                 continue;
             }
-            let motion = self.classes[usize::from(object.class.0)].motion;
-            let outcome = object.commit(tick, elapsed, motion, self.anchor);
+            let class = &self.classes[usize::from(object.class.0)];
+            let outcome = object.commit(tick, elapsed, class, self.anchor);
             self.stats.poses_clamped += u64::from(outcome.clamped);
+            self.stats.turns_clamped += u64::from(outcome.turn_clamped);
             if outcome.violated {
                 self.stats.violations += 1;
                 self.spread_violation(ObjectId(index as u32), outcome.entered_or_left);
@@ -554,7 +560,12 @@ impl World {
             let Phase::Live { .. } = session.phase else { continue };
             // A client that has not been heard of for a lease gets nothing until it is.
             if now.since(session.heard_at) <= quiet {
-                session.mark_changes(&self.objects);
+                if let Some(bytes_per_second) = self.config.bytes_per_second {
+                    session.refill(bytes_per_second, elapsed, self.config.tick, &mut self.stats);
+                }
+                let lens = session.lens(id, &self.objects, &self.classes);
+                let reckoning = self.config.dead_reckoning_px.zip(lens);
+                session.mark_changes(&self.objects, tick, reckoning);
                 session.expire(LocalTime::from_micros(now.micros()), &self.objects);
                 if session.has_something() {
                     self.awake.push_back(id);
@@ -634,7 +645,9 @@ impl World {
             (Some(audit), Some(watcher)) => audit.entitled(objects, watcher, region, object),
             _ => true,
         };
-        session.build(now, tick, slot, &mut self.objects, &mut self.stats, entitled, |object, known| {
+        let lens = session.lens(id, &self.objects, classes);
+        let moment = Moment { now, tick, slot, reckons: config.dead_reckoning_px.is_some(), lens };
+        session.build(moment, &mut self.objects, &mut self.stats, entitled, |object, known| {
             let motion = classes[usize::from(object.class.0)].motion;
             let fresh = object.fresh_tbv(tick, motion, config, anchor);
             let tbv = known.map_or(fresh, |known| known.answer(fresh, motion, config.blur));
@@ -699,6 +712,7 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
         },
         extent: Extent { radius: avatar.radius, bottom: 0.0, top: avatar.height },
         eye_height: avatar.eye_height,
+        turn_max: Some(avatar.turn_max).filter(|&turn| turn != f64::INFINITY),
     }];
     for class in &spec.classes {
         if classes.iter().any(|known| known.name == class.name) {
@@ -710,16 +724,20 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
             motion: MotionBound { speed_max: class.speed_max, slack: 2.0 * QUANTUM_METRES },
             extent: Extent { radius: class.radius, bottom: class.bottom, top: class.top },
             eye_height: 0.0,
+            // What follows a path turns with it.
+            turn_max: None,
         });
     }
     for class in &classes {
-        let Class { name, motion, extent, eye_height } = class;
+        let Class { name, motion, extent, eye_height, turn_max } = class;
+        let turn_max = turn_max.unwrap_or_default();
         for (what, value, legal) in [
             ("speed_max", motion.speed_max, (0.0..=1e6).contains(&motion.speed_max)),
             ("radius", extent.radius, (0.0..=1e6).contains(&extent.radius)),
             ("bottom", extent.bottom, (-1e6..=1e6).contains(&extent.bottom)),
             ("top", extent.top, (extent.bottom..=1e6).contains(&extent.top)),
             ("eye_height", *eye_height, (0.0..=1e6).contains(eye_height)),
+            ("turn_max", turn_max, (0.0..=1e6).contains(&turn_max)),
         ] {
             if !legal {
                 return Err(WorldError::ClassValue { class: name.clone(), what, value });
@@ -745,6 +763,9 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
 mod audit_tests;
 
 #[cfg(test)]
+mod push_tests;
+
+#[cfg(test)]
 mod tests {
     use eyeline_protocol::codec::{DatagramWriter, encode_control};
     use eyeline_protocol::{ClientHeader, Interest, LinkHeader, Reason};
@@ -754,9 +775,13 @@ mod tests {
     use crate::policy::{Broadcast, Visible};
 
     pub(super) fn world(policy: Box<dyn Policy>) -> World {
+        world_of(WorldConfig::default(), policy)
+    }
+
+    pub(super) fn world_of(config: WorldConfig, policy: Box<dyn Policy>) -> World {
         let info = WorldInfo { name: "test".into(), hash: [0; 32], size_bytes: 0, two_sided: false };
         let spec = WorldSpec::default();
-        World::new(WorldConfig::default(), spec, info, DVec3::ZERO, policy, WorldTime::ZERO).unwrap()
+        World::new(config, spec, info, DVec3::ZERO, policy, WorldTime::ZERO).unwrap()
     }
 
     pub(super) fn join(world: &mut World, role: Role) -> SessionId {

@@ -1,6 +1,10 @@
 //! One thing that may move: what it is committed to, what it wants, who may hold a bound of it.
 
-use eyeline_protocol::{ClassId, Issue, MotionBound, ObjectId, Orientation, Position, QUANTUM_METRES, Tbv, WorldTime};
+use std::f64::consts::{PI, TAU};
+
+use eyeline_protocol::{
+    Class, ClassId, Issue, MotionBound, ObjectId, Orientation, Position, QUANTUM_METRES, Tbv, Velocity, WorldTime,
+};
 use fixedbitset::FixedBitSet;
 use glam::DVec3;
 
@@ -19,6 +23,8 @@ pub struct Object {
     pub position: Position,
     /// How it is turned.
     pub orientation: Orientation,
+    /// How it moved of late.
+    pub velocity: Velocity,
     /// Tick of the last change of position or orientation.
     pub changed_at: WorldTime,
     /// How often it has broken its bound.
@@ -43,6 +49,10 @@ pub struct Object {
     issued: blur::Issued,
     /// Metres that it may still move, beyond what each tick adds: the token bucket of its motion bound.
     allowance: f64,
+    /// Radians that it may still turn, likewise.
+    turn_allowance: f64,
+    /// Metres a second of the last tick.
+    moved: DVec3,
 }
 
 /// What came of a commit.
@@ -50,6 +60,8 @@ pub struct Object {
 pub(super) struct Outcome {
     /// The pose was beyond the motion bound and was held back.
     pub clamped: bool,
+    /// It turned faster than its class may, and was held back.
+    pub turn_clamped: bool,
     /// The bound was broken on purpose.
     pub violated: bool,
     /// It came into the world or left it.
@@ -64,6 +76,7 @@ impl Object {
             class,
             position,
             orientation: Orientation::default(),
+            velocity: Velocity::ZERO,
             changed_at: now,
             issue: Issue(0),
             present: true,
@@ -77,15 +90,43 @@ impl Object {
             told_since_violation: FixedBitSet::new(),
             issued: blur::Issued::default(),
             allowance: 0.0,
+            turn_allowance: 0.0,
+            moved: DVec3::ZERO,
         }
     }
 
-    /// Moves to what is wanted, as far as `motion` allows in `elapsed` seconds since the last tick.
+    /// Moves to what is wanted, as far as its class allows in `elapsed` seconds since the last tick.
     ///
     /// The allowance gains speed·elapsed and is capped at the slack before that, so that over any run of ticks the
     /// distance is at most speed·time + slack: [`MotionBound`]'s promise.
-    pub(super) fn commit(&mut self, tick: WorldTime, elapsed: f64, motion: MotionBound, anchor: DVec3) -> Outcome {
+    pub(super) fn commit(&mut self, tick: WorldTime, elapsed: f64, class: &Class, anchor: DVec3) -> Outcome {
+        let motion = class.motion;
+        let before = self.position;
+        let outcome = self.commit_pose(tick, elapsed, motion, class.turn_max, anchor);
+        let moved = (self.position.metres() - before.metres()) / elapsed;
+        // The mean of two ticks: poses come with jitter, so that one may find none in one tick and two in the next. Who
+        // has not moved in either stands, and who was put elsewhere did not walk there.
+        let mean = 0.5 * (moved + self.moved);
+        let is_walk = elapsed > 0.0 && !outcome.violated;
+        (self.velocity, self.moved) =
+            if is_walk { (Velocity::from_metres(mean), moved) } else { (Velocity::ZERO, DVec3::ZERO) };
+        outcome
+    }
+
+    fn commit_pose(
+        &mut self,
+        tick: WorldTime,
+        elapsed: f64,
+        motion: MotionBound,
+        turn_max: Option<f64>,
+        anchor: DVec3,
+    ) -> Outcome {
         let mut outcome = Outcome::default();
+        if let Some(turn_max) = turn_max {
+            // The same jitter of poses as for walking, and a step of the wire's turns.
+            let jitter_s = (motion.slack / motion.speed_max.max(f64::MIN_POSITIVE)).min(1.0);
+            self.turn_allowance = self.turn_allowance.min(turn_max * jitter_s + TURN_STEP) + turn_max * elapsed;
+        }
         self.allowance = self.allowance.min(motion.slack) + motion.speed_max * elapsed;
         if let Some((position, present)) = self.placed.take() {
             outcome.violated = position != self.position || present != self.present;
@@ -107,7 +148,11 @@ impl Object {
                 Position::from_metres(place - anchor).ok().map(|position| (position, Orientation::from_yaw(heading)))
             }
             // What stands upright turns about the vertical only: its extent holds for no other turn.
-            None => self.wanted.take().map(|(position, turn)| (position, Orientation::from_yaw(turn.yaw()))),
+            None => self.wanted.take().map(|(position, turn)| {
+                let is_bounded = turn_max.is_some();
+                let turn = turn.yaw();
+                (position, if is_bounded { self.turned(turn, &mut outcome) } else { Orientation::from_yaw(turn) })
+            }),
         };
         let Some((position, orientation)) = wanted else { return outcome };
         let position = self.reachable(position, &mut outcome);
@@ -118,6 +163,19 @@ impl Object {
             self.changed_at = tick;
         }
         outcome
+    }
+
+    /// The turn `wanted` about the vertical, radians, or as far towards it, the short way, as it may.
+    fn turned(&mut self, wanted: f64, outcome: &mut Outcome) -> Orientation {
+        let short_way = |turn: f64| (turn + PI).rem_euclid(TAU) - PI;
+        let yaw = self.orientation.yaw();
+        let turn = short_way(wanted - yaw);
+        let most = self.turn_allowance.max(0.0);
+        outcome.turn_clamped = turn.abs() > most;
+        let orientation = Orientation::from_yaw(yaw + turn.clamp(-most, most));
+        // What the wire's steps made of it is what counts.
+        self.turn_allowance -= short_way(orientation.yaw() - yaw).abs();
+        orientation
     }
 
     /// `wanted`, or the farthest grid point towards it within the allowance.
@@ -150,13 +208,13 @@ impl Object {
         let (centre, radius, speed) = match (&self.path, self.owner) {
             (Some(path), _) if config.swept => {
                 let (middle, reach) = path.ball();
-                // However short the path, where it is on it is not to be known better than the blur.
-                let radius = blur::beside(reach + QUANTUM_METRES, config.blur);
-                (Position::from_metres(middle - anchor).unwrap_or(self.position), radius, 0.0)
+                // No smaller than the blur, however short the path: where it is on it is not to be known better.
+                let reach = reach.max(config.blur) + QUANTUM_METRES;
+                (Position::from_metres(middle - anchor).unwrap_or(self.position), reach, 0.0)
             }
             (None, None) if config.swept => {
-                let (centre, reach) = blur::blurred(self.position, config);
-                (centre, blur::beside(reach, config.blur), 0.0)
+                let (centre, radius) = blur::blurred(self.position, config);
+                (centre, radius, 0.0)
             }
             _ => {
                 let (centre, radius) = blur::blurred(self.position, config);
@@ -192,6 +250,9 @@ impl Object {
         }
     }
 }
+
+/// Two turns on the wire of one heading differ by no more, radians: 0.0015 about each axis, of either.
+const TURN_STEP: f64 = 0.006;
 
 /// Ids of the objects that are in the world.
 pub(crate) fn present(objects: &[Object]) -> impl Iterator<Item = (ObjectId, &Object)> {

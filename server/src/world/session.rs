@@ -8,13 +8,14 @@ use std::time::Duration;
 
 use eyeline_protocol::codec::DatagramWriter;
 use eyeline_protocol::{
-    Arrival, Class, Interest, Issue, Link, LinkHeader, LocalTime, ObjectId, ServerHeader, ServerRecord, WireTbv,
-    WorldTime,
+    Arrival, Class, Interest, Issue, Link, LinkHeader, LocalTime, ObjectId, Prediction, ServerHeader, ServerRecord,
+    Velocity, WireTbv, WorldTime,
 };
 use glam::DVec3;
 
 use super::blur::Known;
-use super::{Object, SessionId, WorldStats};
+use super::lens::Lens;
+use super::{AVATAR_CLASS, Object, SessionId, WorldStats};
 use crate::policy::Watcher;
 
 /// How far a connection has got.
@@ -34,12 +35,49 @@ pub(super) enum Phase {
 struct Subscription {
     /// Whether updates are pushed.
     active: bool,
-    /// `changed_at` of the state that was sent last; `WorldTime::MIN` if none is under way or arrived.
+    /// Tick of the state that was sent last; `WorldTime::MIN` if none is under way or arrived.
     sent: WorldTime,
     /// Number of the datagram that asked last: what an older one says has been overtaken.
     asked_seq: u32,
     /// Whether a bound was told in place of the state that is due, since the client is not entitled to it.
     withheld: bool,
+    /// What the client may draw from: the state that it acknowledged last, and those that are under way. Ascending.
+    held: Vec<Held>,
+}
+
+/// A state that a client may hold.
+struct Held {
+    prediction: Prediction,
+    issue: Issue,
+}
+
+impl Subscription {
+    fn new(active: bool, asked_seq: u32) -> Subscription {
+        Subscription { active, sent: WorldTime::MIN, asked_seq, withheld: false, held: Vec::new() }
+    }
+
+    /// Whether what the client may draw is wrong by more than `pixels`.
+    fn is_wrong(&self, object: &Object, tick: WorldTime, pixels: f64, lens: &Lens<'_>) -> bool {
+        // One state that is void, or none that may arrive, is as good as nothing.
+        self.held.is_empty()
+            || self.held.iter().any(|held| {
+                let stands = held.prediction.velocity == Velocity::ZERO && object.changed_at <= held.prediction.tick;
+                held.issue != object.issue || !stands && lens.error_px(&held.prediction, object, tick) > pixels
+            })
+    }
+}
+
+/// What a datagram is built from, besides the objects.
+#[derive(Clone, Copy)]
+pub(super) struct Moment<'a> {
+    pub now: WorldTime,
+    pub tick: WorldTime,
+    /// The client's bit in the holders' sets.
+    pub slot: usize,
+    /// Whether states say how they go on.
+    pub reckons: bool,
+    /// What weighs states against each other where a byte cap binds.
+    pub lens: Option<Lens<'a>>,
 }
 
 /// A violation that the client has not acknowledged.
@@ -65,6 +103,8 @@ pub(super) struct Session {
     pub avatars: Vec<ObjectId>,
     /// Which directions it wants to hear of.
     pub interest: Interest,
+    /// Pixels a unit of tangent in its picture.
+    pub focal: f64,
     pub heard_at: WorldTime,
     pub owes_ack: bool,
     pub datagram_limit: usize,
@@ -74,6 +114,10 @@ pub(super) struct Session {
     /// For how long the client lets an acknowledgement wait, lately at most: it acknowledges with its next frame.
     hold_max: Duration,
     subscriptions: BTreeMap<ObjectId, Subscription>,
+    /// Bytes that may still go out; `None` without a cap.
+    budget: Option<f64>,
+    /// States that were held back at the last tick.
+    held_back: BTreeSet<ObjectId>,
     /// What was told exactly, by object.
     known: BTreeMap<ObjectId, Known>,
     states_due: BTreeSet<ObjectId>,
@@ -93,6 +137,7 @@ impl Session {
             is_refused: false,
             avatars: Vec::new(),
             interest: Interest::Around,
+            focal: 1.0,
             heard_at: now,
             owes_ack: false,
             datagram_limit: DATAGRAM_LIMIT_DEFAULT,
@@ -101,6 +146,8 @@ impl Session {
             link: Link::default(),
             hold_max: Duration::ZERO,
             subscriptions: BTreeMap::new(),
+            budget: None,
+            held_back: BTreeSet::new(),
             known: BTreeMap::new(),
             states_due: BTreeSet::new(),
             hidden_due: BTreeSet::new(),
@@ -109,8 +156,16 @@ impl Session {
 
     /// Takes a datagram's delivery header; says whether its records are news.
     pub fn receive(&mut self, header: &LinkHeader, now: LocalTime) -> bool {
-        let mut lost = Vec::new();
-        let arrival = self.link.receive(header, now, |_| (), |carried| lost.push(carried));
+        let (mut acked, mut lost) = (Vec::new(), Vec::new());
+        let arrival = self.link.receive(header, now, |carried| acked.push(carried), |carried| lost.push(carried));
+        for (object, version) in acked.into_iter().flatten() {
+            // It draws from this or a later one.
+            if let Some(subscription) = self.subscriptions.get_mut(&object)
+                && version != WITHDRAWN
+            {
+                subscription.held.retain(|held| held.prediction.tick >= version);
+            }
+        }
         let hold = Duration::from_micros(u64::from(header.hold_micros)).min(HOLD_MAX);
         self.hold_max = hold.max(self.hold_max - self.hold_max / 16);
         for carried in lost {
@@ -128,10 +183,9 @@ impl Session {
                 }
                 continue;
             }
-            if let Some(subscription) = self.subscriptions.get_mut(&object)
-                && subscription.active
-                && (subscription.sent == version || version == WITHHELD)
-            {
+            let Some(subscription) = self.subscriptions.get_mut(&object) else { continue };
+            subscription.held.retain(|held| held.prediction.tick != version);
+            if subscription.active && (subscription.sent == version || version == WITHHELD) {
                 subscription.sent = WorldTime::MIN;
                 subscription.withheld = false;
                 self.states_due.insert(object);
@@ -159,6 +213,12 @@ impl Session {
         Some(Watcher { session, avatar, eye, yaw: object.orientation.yaw(), interest: self.interest })
     }
 
+    /// How large things are to it, if it looks at them.
+    pub fn lens<'a>(&self, id: SessionId, objects: &[Object], classes: &'a [Class]) -> Option<Lens<'a>> {
+        let watcher = self.watcher(id, objects, classes.get(usize::from(AVATAR_CLASS.0))?)?;
+        Some(Lens { eye: watcher.eye, focal: self.focal, classes })
+    }
+
     /// Greatest round trip of the last 5 s, without what the client held its acknowledgements for.
     pub fn round_trip_max(&self) -> Option<Duration> {
         self.link.round_trip_max()
@@ -177,8 +237,7 @@ impl Session {
     pub fn subscribe(&mut self, object: ObjectId, seq: u32) {
         self.bounds_due.remove(&object);
         self.states_due.insert(object);
-        self.subscriptions
-            .insert(object, Subscription { active: true, sent: WorldTime::MIN, asked_seq: seq, withheld: false });
+        self.subscriptions.insert(object, Subscription::new(true, seq));
     }
 
     /// Tells of the object now, and not from now on.
@@ -190,8 +249,7 @@ impl Session {
 
     pub fn unsubscribe(&mut self, object: ObjectId, seq: u32) {
         self.states_due.remove(&object);
-        self.subscriptions
-            .insert(object, Subscription { active: false, sent: WorldTime::MIN, asked_seq: seq, withheld: false });
+        self.subscriptions.insert(object, Subscription::new(false, seq));
     }
 
     /// Tells of the object no more, until it is asked for again.
@@ -233,13 +291,54 @@ impl Session {
         self.violations.insert(object, Violation { issue, at, sent_at: None });
     }
 
-    /// Makes due what has changed since it was sent last.
-    pub fn mark_changes(&mut self, objects: &[Object]) {
+    /// Makes due what has changed since it was sent last, or, by dead reckoning, what is drawn wrong by more than `pixels`.
+    pub fn mark_changes(&mut self, objects: &[Object], tick: WorldTime, reckoning: Option<(f64, Lens<'_>)>) {
         for (&id, subscription) in &self.subscriptions {
-            if subscription.active && objects[id.index()].changed_at > subscription.sent {
+            if !subscription.active {
+                continue;
+            }
+            let object = &objects[id.index()];
+            let is_due = match &reckoning {
+                // In place of what it drew from a bound was told; it is to be seen again even if that was right.
+                _ if subscription.withheld => true,
+                // What was never sent, or got lost, is due in any case.
+                Some((pixels, lens)) if subscription.sent != WorldTime::MIN => {
+                    subscription.is_wrong(object, tick, *pixels, lens)
+                }
+                _ => object.changed_at > subscription.sent,
+            };
+            if is_due {
                 self.states_due.insert(id);
             }
         }
+    }
+
+    /// Lets another `elapsed` seconds' bytes go out, and counts what had to wait for them.
+    pub fn refill(&mut self, bytes_per_second: u32, elapsed: f64, tick: Duration, stats: &mut WorldStats) {
+        let rate = f64::from(bytes_per_second);
+        // Two ticks' worth, or a datagram, may be saved up; as much may have been borrowed for what can't wait.
+        let most = (2.0 * rate * tick.as_secs_f64()).max(self.datagram_limit as f64);
+        self.budget = Some((self.budget.unwrap_or(most) + rate * elapsed).clamp(-most, most));
+        for id in &self.states_due {
+            let counter = if self.held_back.contains(id) { &mut stats.capped_late } else { &mut stats.capped };
+            *counter += 1;
+        }
+        self.held_back.clone_from(&self.states_due);
+    }
+
+    /// What is due by how urgent it is, the most urgent last: pixels × age since it was sent. What was never sent comes before
+    /// all that was, since somebody waits for it.
+    fn by_urgency(&self, objects: &[Object], moment: &Moment<'_>) -> Vec<ObjectId> {
+        let weigh = |&id: &ObjectId| {
+            let size = moment.lens.map_or(1.0, |lens| lens.size_px(&objects[id.index()]));
+            let sent = self.subscriptions.get(&id).map_or(WorldTime::MIN, |subscription| subscription.sent);
+            let is_new = sent == WorldTime::MIN;
+            let age = if is_new { 1.0 } else { moment.tick.seconds_since(sent) };
+            (is_new, size * age, id)
+        };
+        let mut due: Vec<(bool, f64, ObjectId)> = self.states_due.iter().map(weigh).collect();
+        due.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(b.2.cmp(&a.2)));
+        due.into_iter().map(|(_, _, id)| id).collect()
     }
 
     pub fn has_something(&self) -> bool {
@@ -253,19 +352,19 @@ impl Session {
     /// The next datagram, or `None` if nothing is due. Violations first, since nothing may delay them.
     pub fn build(
         &mut self,
-        now: WorldTime,
-        tick: WorldTime,
-        slot: usize,
+        moment: Moment<'_>,
         objects: &mut [Object],
         stats: &mut WorldStats,
         mut entitled: impl FnMut(&[Object], ObjectId) -> bool,
         mut bound: impl FnMut(&mut Object, Option<&mut Known>) -> Option<WireTbv>,
     ) -> Option<Vec<u8>> {
+        let Moment { now, tick, slot, .. } = moment;
         let timeout = self.link.timeout();
+        let may_tell = self.budget.is_none_or(|budget| budget > 0.0);
         let violations_due = self.violations.values().any(|violation| violation.is_due(now, timeout));
         if !self.owes_ack
             && !violations_due
-            && self.states_due.is_empty()
+            && (self.states_due.is_empty() || !may_tell)
             && self.bounds_due.is_empty()
             && self.hidden_due.is_empty()
         {
@@ -307,13 +406,19 @@ impl Session {
             carried.push((id, WITHDRAWN));
             records.push(record);
         }
-        while let Some(&id) = self.states_due.first() {
+        // Without a cap all goes, in any order.
+        let mut order = if self.budget.is_some() { Some(self.by_urgency(objects, &moment)) } else { None };
+        while let Some(id) = match &mut order {
+            Some(order) if self.budget.is_some_and(|budget| budget > writer.bytes() as f64) => order.pop(),
+            Some(_) => None,
+            None => self.states_due.first().copied(),
+        } {
             if !objects[id.index()].present || !objects[id.index()].alive {
-                self.states_due.pop_first();
+                self.states_due.remove(&id);
                 continue;
             }
             if !entitled(objects, id) {
-                self.states_due.pop_first();
+                self.states_due.remove(&id);
                 // It stays due, so that it is told as soon as it is in sight; of its absence one bound speaks.
                 let is_told = self.subscriptions.get_mut(&id).is_some_and(|subscription| {
                     subscription.active && std::mem::replace(&mut subscription.withheld, true)
@@ -326,18 +431,24 @@ impl Session {
                 continue;
             }
             let object = &mut objects[id.index()];
-            let record = ServerRecord::State { object: id, position: object.position, orientation: object.orientation };
+            let velocity = if moment.reckons { object.velocity } else { Velocity::ZERO };
+            let Object { position, orientation, .. } = *object;
+            let record = ServerRecord::State { object: id, position, orientation, velocity };
             if !writer.push(&record) {
                 break;
             }
-            self.states_due.pop_first();
+            self.states_due.remove(&id);
             object.note_holder(slot);
             self.known.insert(id, Known::new(object.position, tick, object.issue));
             places += u64::from(!self.subscriptions.get(&id).is_some_and(|subscription| subscription.active));
             if let Some(subscription) = self.subscriptions.get_mut(&id) {
-                subscription.sent = object.changed_at;
+                subscription.sent = tick;
                 subscription.withheld = false;
-                carried.push((id, object.changed_at));
+                if moment.reckons {
+                    let prediction = Prediction { position, velocity, orientation, tick };
+                    subscription.held.push(Held { prediction, issue: object.issue });
+                }
+                carried.push((id, tick));
             }
             records.push(record);
         }
@@ -374,6 +485,9 @@ impl Session {
         for record in &records {
             let fits = writer.push(record);
             debug_assert!(fits, "the probe's header is the longest there is");
+        }
+        if let Some(budget) = &mut self.budget {
+            *budget -= writer.bytes() as f64;
         }
         Some(writer.finish())
     }

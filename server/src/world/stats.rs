@@ -151,6 +151,12 @@ pub struct WorldStats {
     pub poses_clamped: u64,
     /// Places that a client asked for, or was due, without being entitled to them; a bound was the answer.
     pub withheld: u64,
+    /// Avatars that turned faster than they may, held back to it.
+    pub turns_clamped: u64,
+    /// States that a byte cap held back until the next tick.
+    pub capped: u64,
+    /// States that a byte cap held back for longer than one tick, counted at each tick more.
+    pub capped_late: u64,
     /// Bounds broken: teleports, entering, leaving.
     pub violations: u64,
     /// Ticks done.

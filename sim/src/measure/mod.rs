@@ -78,6 +78,10 @@ pub struct MeasureConfig {
     pub swept: bool,
     /// Whether the server looks for itself before it tells a place.
     pub audit: bool,
+    /// By how many pixels what is drawn may be wrong before a state is told; `None` for at each change.
+    pub dead_reckoning_px: Option<f64>,
+    /// Most bytes a second to one client.
+    pub bytes_per_second: Option<u32>,
     /// Who chooses validity periods.
     pub growth: Growth,
     /// Frames that something must be hidden before updates are declined.
@@ -110,6 +114,8 @@ impl Default for MeasureConfig {
             blur: 1.0,
             swept: true,
             audit: false,
+            dead_reckoning_px: None,
+            bytes_per_second: None,
             growth: Growth::AtClient,
             linger_frames: 2,
             staged: true,
@@ -134,6 +140,8 @@ impl MeasureConfig {
             .with_swept(self.swept)
             .with_grid_seed(self.seed)
             .with_avatars_max(2 * (self.clients + self.residents).max(2048))
+            .with_dead_reckoning_px(self.dead_reckoning_px)
+            .with_bytes_per_second(self.bytes_per_second)
             .with_default_spawn(stage.model.scene.bounds().centre())
     }
 

@@ -133,6 +133,14 @@ pub struct Measure {
     #[arg(long)]
     audit: bool,
 
+    /// Tell states only when what is drawn would be wrong by more than so many pixels [default: at each change]
+    #[arg(long, value_name = "PX", value_parser = number(0.0..=1000.0, "px"))]
+    dead_reckoning: Option<f64>,
+
+    /// Most bytes a second to one client [default: no limit]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1000..))]
+    bytes_per_second: Option<u32>,
+
     /// A fixed validity period, as in the paper, milliseconds [default: bounds grow at the client]
     #[arg(long, value_name = "MS", value_parser = number(1.0..=3.6e6, "ms"))]
     fixed_validity: Option<f64>,
@@ -367,6 +375,8 @@ fn prepare(options: &Measure) -> anyhow::Result<Case> {
         blur: options.blur,
         swept: !options.no_swept,
         audit: options.audit,
+        dead_reckoning_px: options.dead_reckoning,
+        bytes_per_second: options.bytes_per_second,
         growth: options
             .fixed_validity
             .map_or(Growth::AtClient, |millis| Growth::FixedPeriod(Duration::from_secs_f64(millis * 1e-3))),

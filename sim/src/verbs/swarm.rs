@@ -249,6 +249,7 @@ fn ground(welcome: &Welcome, plan: Option<Arc<RoomPlan>>, all_round: AllRound) -
         radius: class.extent.radius,
         height: class.extent.top,
         eye_height: class.eye_height,
+        turn_max: class.turn_max.unwrap_or(f64::INFINITY),
         speed_max: class.motion.speed_max,
     });
     Ground { plan, avatar, anchor: DVec3::from_array(welcome.anchor), all_round: Arc::new(all_round) }
