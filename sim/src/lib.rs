@@ -8,6 +8,7 @@ pub mod people;
 pub mod places;
 pub mod report;
 pub mod scene;
+pub mod soak;
 pub mod stage;
 pub mod trace;
 pub mod track;

@@ -5,8 +5,9 @@ use std::time::Duration;
 use eyeline_client::session::Event;
 use eyeline_client::tracking::{Growth, Sabotage, TrackerConfig};
 use eyeline_protocol::{ClientControl, ClientRecord, Interest, Refusal, Role, ServerRecord, Want, codec};
+use eyeline_sim::soak::{Town, TownRules};
 use eyeline_sim::virtual_net::{Ignore, Kind, LinkRules};
-use eyeline_tests::{HIDDEN, OPEN, Pair, Town, TownRules};
+use eyeline_tests::{HIDDEN, OPEN, Pair};
 use glam::DVec3;
 
 const fn ms(millis: u64) -> Duration {

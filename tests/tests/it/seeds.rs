@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use eyeline_tests::{Town, TownRules};
+use eyeline_sim::soak::{Town, TownRules};
 
 /// Five seconds and more of a town, with a client that leaves and two that come late.
 fn live(rules: TownRules) -> Town {

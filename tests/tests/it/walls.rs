@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use eyeline_tests::{Wall, Walls, WallsFrom};
+use eyeline_sim::soak::{Wall, Walls, WallsFrom};
 use eyeline_visibility::{Aabb, Bound, Occlusion};
 use glam::DVec3;
 use proptest::prelude::*;

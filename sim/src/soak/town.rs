@@ -3,21 +3,21 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::virtual_net::{ClientPlan, LinkRules, VirtualRun};
 use eyeline_client::session::SessionConfig;
 use eyeline_client::tracking::{Growth, Sabotage, TrackerConfig};
 use eyeline_protocol::{Role, WorldInfo, WorldTime};
 use eyeline_server::policy::Visible;
 use eyeline_server::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, WorldSpec};
 use eyeline_server::world::{World, WorldConfig};
-use eyeline_sim::virtual_net::{ClientPlan, LinkRules, VirtualRun};
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use crate::index::IndexView;
-use crate::truth::{Allowance, Truth};
-use crate::walker::{Crowd, Walk, Walker, free_place};
-use crate::walls::{Wall, Walls};
+use super::index::IndexView;
+use super::truth::{Allowance, Truth};
+use super::walker::{Crowd, Walk, Walker, free_place};
+use super::walls::{Wall, Walls};
 
 /// What a town is like.
 #[derive(Clone, Debug)]

@@ -2,16 +2,16 @@
 
 use std::sync::Arc;
 
+use crate::virtual_net::{ClientDriver, Pose};
 use eyeline_client::session::{FrameTime, Session};
 use eyeline_client::tracking::Ahead;
 use eyeline_protocol::{ObjectId, Orientation, Position, WorldTime};
-use eyeline_sim::virtual_net::{ClientDriver, Pose};
 use eyeline_visibility::Occlusion;
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use crate::walls::{Walls, WallsFrom};
+use super::walls::{Walls, WallsFrom};
 
 const EYE_HEIGHT: f64 = 1.6;
 

@@ -4,14 +4,14 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::virtual_net::{Direction, Framed, Kind, LinkRules, Observer, Passing};
 use eyeline_protocol::{ClientRecord, Issue, ObjectId, ServerRecord, WorldTime, codec};
 use eyeline_server::world::{Object, World};
-use eyeline_sim::virtual_net::{Direction, Framed, Kind, LinkRules, Observer, Passing};
 use eyeline_visibility::{Aabb, Bound};
 use glam::DVec3;
 
-use crate::index::IndexView;
-use crate::walls::Walls;
+use super::index::IndexView;
+use super::walls::Walls;
 
 /// What a client's link is known to do: how late something may be.
 #[derive(Clone, Copy, Debug)]
