@@ -311,7 +311,8 @@ impl Session {
     /// What the next frame must look ahead for: cull from every eye within its radius, then hand both to [`Session::frame`].
     pub fn ahead(&self) -> Ahead {
         let tracker = &self.config.tracker;
-        let Some(avatar) = self.welcome.as_ref().filter(|welcome| welcome.tracking).and_then(|w| w.classes.first()) else {
+        let Some(avatar) = self.welcome.as_ref().filter(|welcome| welcome.tracking).and_then(|w| w.classes.first())
+        else {
             return Ahead::default();
         };
         // The greatest lately is not the greatest there may be; how far round trips stray is (RFC 6298's four variations).

@@ -246,3 +246,120 @@ impl Driver for Replay {
         self.announce(session);
     }
 }
+
+/// Avatars that walk and look at nothing, all behind one connection: those who fill a large world.
+pub struct Residents {
+    ground: Ground,
+    seed: u64,
+    /// The number of the first of them, for chance of their own.
+    first: usize,
+    movers: Vec<Mover>,
+    count: u16,
+    last: Option<LocalTime>,
+    placing: Vec<(ObjectId, Position, bool)>,
+}
+
+impl Residents {
+    /// `count` people of `seed`, numbered from `first`.
+    pub fn new(ground: Ground, seed: u64, first: usize, count: u16) -> Residents {
+        Residents { ground, seed, first, movers: Vec::new(), count, last: None, placing: Vec::new() }
+    }
+
+    fn advance(&mut self, session: &Session, now: LocalTime) -> Vec<Pose> {
+        let Some(welcome) = session.welcome() else { return Vec::new() };
+        if self.movers.is_empty() {
+            let Ground { plan, avatar, anchor, .. } = &self.ground;
+            for (number, &(object, position, _)) in welcome.avatars.iter().enumerate() {
+                let (feet, number) = (*anchor + position.metres(), self.first + number);
+                let mover = Mover::new(plan.as_ref(), *avatar, self.seed, number, feet)
+                    .or_else(|_| Mover::new(None, *avatar, self.seed, number, feet));
+                self.movers.extend(mover);
+                self.placing.push((object, position, true));
+            }
+        }
+        let dt_s = self.last.map_or(0.0, |last| now.seconds_since(last));
+        self.last = Some(now);
+        let pose = |(mover, &(object, ..)): (&mut Mover, &(ObjectId, Position, Orientation))| {
+            let pose = mover.step(dt_s);
+            let position = Position::from_metres(pose.feet - self.ground.anchor).ok()?;
+            Some(Pose { object, position, orientation: Orientation::from_yaw(pose.yaw) })
+        };
+        self.movers.iter_mut().zip(&welcome.avatars).filter_map(pose).collect()
+    }
+}
+
+/// People whom a measurement needs but whose clients it does not: a recorded crowd, or residents.
+pub enum Extras {
+    /// People who once walked.
+    Replay(Replay),
+    /// People who walk by rule.
+    Residents(Residents),
+}
+
+impl Extras {
+    /// The crowd, if there is one, and `residents` people besides, numbered from `first`: one connection each for as many as
+    /// it may drive.
+    pub fn all(stage: &Stage, crowd: Option<&Crowd>, residents: usize, seed: u64, first: usize) -> Vec<Extras> {
+        let replay = crowd.map(|crowd| Extras::Replay(Replay::new(crowd.clone(), stage.anchor(), 0.0)));
+        let of_one = |from: usize| {
+            let count = (residents - from).min(RESIDENTS_MAX) as u16;
+            Extras::Residents(Residents::new(stage.ground(), seed, first + from, count))
+        };
+        replay.into_iter().chain((0..residents).step_by(RESIDENTS_MAX).map(of_one)).collect()
+    }
+
+    /// How many avatars it drives.
+    pub fn avatars(&self) -> u16 {
+        match self {
+            Extras::Replay(replay) => replay.avatars(),
+            Extras::Residents(residents) => residents.count,
+        }
+    }
+
+    /// A name for people.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Extras::Replay(_) => "replay",
+            Extras::Residents(_) => "residents",
+        }
+    }
+
+    /// Whether no network lies between them and the server.
+    pub fn is_local(&self) -> bool {
+        matches!(self, Extras::Residents(_))
+    }
+
+    /// Says who came and who went in the newest frame.
+    pub fn announce(&mut self, session: &mut Session) {
+        match self {
+            Extras::Replay(replay) => replay.announce(session),
+            Extras::Residents(residents) => {
+                for (object, position, present) in residents.placing.drain(..) {
+                    session.place(object, position, present);
+                }
+            }
+        }
+    }
+}
+
+/// Most avatars of one connection of residents.
+const RESIDENTS_MAX: usize = eyeline_protocol::AVATARS_MAX;
+
+impl Driver for Extras {
+    fn poses(&mut self, session: &Session, now: LocalTime) -> Vec<Pose> {
+        match self {
+            Extras::Replay(replay) => replay.poses(session, now),
+            Extras::Residents(residents) => residents.advance(session, now),
+        }
+    }
+
+    fn cull(&mut self, _: Ahead) {}
+
+    fn occlusion(&self) -> Option<&dyn Occlusion> {
+        None
+    }
+
+    fn frame_done(&mut self, session: &mut Session, _: &FrameReport) {
+        self.announce(session);
+    }
+}

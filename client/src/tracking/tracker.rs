@@ -738,8 +738,16 @@ impl Tracker {
             self.asks += 1;
             let is_unsaid = !late;
             let since = self.stats.frames;
-            entry.ask =
-                Some(Ask { want, reason, sent_at: None, not_before, is_unsaid, since, number: self.asks, heard: false });
+            entry.ask = Some(Ask {
+                want,
+                reason,
+                sent_at: None,
+                not_before,
+                is_unsaid,
+                since,
+                number: self.asks,
+                heard: false,
+            });
             self.asked.insert(object);
             if is_unsaid {
                 self.unsaid.push_back(object);

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use eyeline_client::tracking::TrackerStats;
+use eyeline_client::tracking::{Ahead, TrackerStats};
 use eyeline_protocol::{Class, ClassId, ObjectId, Orientation, Position, WorldTime};
 use eyeline_server::world::{MessageCounts, Object, World};
 use glam::DVec3;
@@ -71,6 +71,10 @@ pub struct FrameLog {
     pub round_trip_max: Duration,
     /// Smoothed round trip.
     pub round_trip: Duration,
+    /// What it looked ahead for.
+    pub ahead: Ahead,
+    /// After what time without an answer it asks again.
+    pub retry_after: Duration,
     /// What the client knew, in the frames that truth is computed for.
     pub known: Option<Vec<Known>>,
     /// Objects whose states arrived since the frame before.
@@ -92,6 +96,8 @@ pub struct ClientLog {
     pub resent: u64,
     /// Time for which it believed bounds that had been broken, summed over objects.
     pub broken_believed: Duration,
+    /// In virtual time: objects that a lost datagram spoke of, and when it was lost; ascending.
+    pub lost: Vec<(WorldTime, ObjectId)>,
     /// Messages that it sent within the measured time, whether or not they arrived.
     pub sent: u64,
 }

@@ -40,6 +40,8 @@ pub enum Net {
 pub struct MeasureConfig {
     /// Number of watching clients.
     pub clients: usize,
+    /// Avatars besides, which walk inside the server and look at nothing.
+    pub residents: usize,
     /// Decides motion, starts and the choice of frames.
     pub seed: u64,
     /// Time that is run but not measured, for joining to settle.
@@ -76,6 +78,7 @@ impl Default for MeasureConfig {
     fn default() -> MeasureConfig {
         MeasureConfig {
             clients: 32,
+            residents: 0,
             seed: 7,
             warm_up: Duration::from_secs(2),
             window: Duration::from_secs(10),
@@ -107,6 +110,7 @@ impl MeasureConfig {
             .with_blur(self.blur)
             .with_swept(self.swept)
             .with_grid_seed(self.seed)
+            .with_avatars_max(2 * (self.clients + self.residents).max(2048))
             .with_default_spawn(stage.model.scene.bounds().centre())
     }
 

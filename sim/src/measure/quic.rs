@@ -18,7 +18,7 @@ use eyeline_server::world::MessageCounts;
 use eyeline_visibility::DynamicOctree;
 
 use super::{Bursts, ClientLog, Commit, FrameLog, MeasureConfig, ObjectInfo, RunLog, known_of};
-use crate::people::{FrameHook, Person, Replay};
+use crate::people::{Extras, FrameHook, Person};
 use crate::report::Progress;
 use crate::stage::{Crowd, Stage};
 
@@ -131,12 +131,11 @@ async fn run_clients(
     let clock = LocalClock::default();
     let endpoint = Endpoint::new(Fingerprint(ready.fingerprint), ready.address)?;
     let progress = Progress::new(config.clients as u64, &format!("{policy}: clients join"));
-    let mut actor = None;
-    if let Some(crowd) = crowd {
-        let replay = Replay::new(crowd.clone(), stage.anchor(), 0.0);
-        let role = Role::Actor { avatars: replay.avatars() };
-        let session = session(stage, SessionConfig::default().with_role(role).with_name("replay"));
-        actor = Some((endpoint.connect(ready.address, session, clock).await?, replay));
+    let mut actors = Vec::new();
+    for extras in Extras::all(stage, crowd, config.residents, config.seed, config.clients) {
+        let role = Role::Actor { avatars: extras.avatars() };
+        let session = session(stage, SessionConfig::default().with_role(role).with_name(extras.name()));
+        actors.push((endpoint.connect(ready.address, session, clock).await?, extras));
     }
     let mut watchers = Vec::new();
     for number in 0..config.clients {
@@ -163,8 +162,8 @@ async fn run_clients(
         let task = watch(connection, person, log, config.frame(), phase, start, end);
         tasks.push(tokio::task::spawn_local(task));
     }
-    let actor =
-        actor.map(|(connection, replay)| tokio::task::spawn_local(act(connection, replay, config.frame(), start, end)));
+    let act = |(connection, extras)| tokio::task::spawn_local(act(connection, extras, config.frame(), start, end));
+    let actors: Vec<_> = actors.into_iter().map(act).collect();
 
     tokio::time::sleep_until(start.into()).await;
     is_measuring.store(true, Ordering::Relaxed);
@@ -186,7 +185,7 @@ async fn run_clients(
         clients.push(task.await??);
     }
     let mut up = after.messages_in.since(&before.messages_in);
-    if let Some(actor) = actor {
+    for actor in actors {
         // The crowd's own poses are the world's motion, not the watchers' traffic.
         up.poses = up.poses.saturating_sub(actor.await??);
     }
@@ -231,6 +230,8 @@ fn recorder(
             late: report.late,
             round_trip_max,
             round_trip,
+            ahead: session.ahead(),
+            retry_after: session.retry_after(),
             known,
             received,
         });
@@ -269,19 +270,19 @@ async fn watch(
     Ok(log)
 }
 
-/// Replays the crowd; returns how many records it sent within the window.
+/// Moves people whom nobody looks for; returns how many records it sent within the window.
 async fn act(
     mut connection: Connection,
-    mut replay: Replay,
+    mut extras: Extras,
     frame: Duration,
     start: Instant,
     end: Instant,
 ) -> anyhow::Result<u64> {
     let first = connection.clock().now();
     let warm_up =
-        run_headless(&mut connection, &mut replay, frame, first, tokio::time::sleep_until(start.into())).await?;
+        run_headless(&mut connection, &mut extras, frame, first, tokio::time::sleep_until(start.into())).await?;
     let before = connection.session.stats().records_out;
-    run_headless(&mut connection, &mut replay, frame, warm_up.next, tokio::time::sleep_until(end.into())).await?;
+    run_headless(&mut connection, &mut extras, frame, warm_up.next, tokio::time::sleep_until(end.into())).await?;
     let sent = connection.session.stats().records_out - before;
     connection.close().await;
     Ok(sent)

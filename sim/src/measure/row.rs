@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use eyeline_server::world::AVATAR_CLASS;
+
 use super::{MeasureConfig, RunLog, Truth};
 use crate::report::Column;
 
@@ -19,7 +21,9 @@ pub struct MeasureRow {
     pub resolution: String,
     pub interest: &'static str,
     pub rtt_ms: f64,
+    pub lead: String,
     pub lead_ms: f64,
+    pub avatars: usize,
     pub messages_per_client_s: f64,
     pub pushed_per_client_s: f64,
     pub hidden_caused_per_client_s: f64,
@@ -88,7 +92,9 @@ pub fn columns() -> Vec<Column> {
         column("resolution", "px", "of the frames, 90° across"),
         column("interest", "", "which directions a client hears of"),
         column("rtt_ms", "ms", "smoothed round trip, mean over frames"),
-        column("lead_ms", "ms", "how far ahead visibility was tested"),
+        column("lead", "", "how the lead was chosen: none, auto or fixed"),
+        column("lead_ms", "ms", "how far ahead visibility was tested, mean over frames"),
+        column("avatars", "", "avatars in the world, watching or not"),
         column("messages_per_client_s", "1/s", "records about one object, both ways, per client"),
         column("pushed_per_client_s", "1/s", "of these, states for clients that want updates of an object"),
         column(
@@ -202,7 +208,9 @@ pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig) -> Measur
         resolution: config.resolution.to_string(),
         interest: "around",
         rtt_ms: mean(&rtt_ms),
-        lead_ms: 0.0,
+        lead: config.lead.to_string(),
+        lead_ms: mean(&sorted_ms(&|frame| frame.ahead.time)),
+        avatars: log.objects.iter().filter(|object| object.class == AVATAR_CLASS).count(),
         messages_per_client_s: rate(sent_up + log.down.total()),
         pushed_per_client_s: rate(all.pushed()),
         hidden_caused_per_client_s: rate(all.hidden_caused()),

@@ -128,6 +128,12 @@ struct Episode {
     need: WorldTime,
 }
 
+/// For how long a loss may still matter.
+const LOSS_WINDOW: Duration = Duration::from_millis(1_500);
+
+/// Frames back whose leads an object's first frame depends on.
+const LEAD_FRAMES: usize = 10;
+
 /// Ends the episodes of objects that are not `kept`. One that came into view and was never drawn counts with the time that
 /// it had.
 fn end(episodes: &mut BTreeMap<ObjectId, Episode>, truth: &mut Truth, kept: impl Fn(ObjectId) -> bool) {
@@ -146,6 +152,12 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
     let frame_ms = painter.frame.as_secs_f64() * 1e3;
     let mut episodes: BTreeMap<ObjectId, Episode> = BTreeMap::new();
     let mut place_in_burst = 0;
+    let retry = |at: WorldTime, object: ObjectId, frame: &FrameLog| {
+        // Each lost question or answer in a row is forgiven what it takes to ask again (DESIGN §3.3).
+        let lately = client_log.lost.iter().rev().take_while(|&&(lost, _)| at.since(lost) <= LOSS_WINDOW);
+        let losses = lately.filter(|&&(_, lost)| lost == object).count() as u32;
+        losses * (frame.retry_after + painter.frame)
+    };
     for (number, frame) in client_log.frames.iter().enumerate() {
         let Some(known) = &frame.known else {
             end(&mut episodes, &mut truth, |_| false);
@@ -170,13 +182,20 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
                 truth.missed_px += pixels;
             }
             let is_new = !episodes.contains_key(&object);
+            // Who looked ahead for long enough shows it in the first frame.
+            let takes = frame.round_trip_max + log.turnaround;
+            let lead =
+                client_log.frames[number.saturating_sub(LEAD_FRAMES)..=number].iter().map(|f| f.ahead.time).min();
+            let has_lead = lead.is_some_and(|lead| lead >= takes + painter.frame);
+            let allowed = if has_lead { Duration::ZERO } else { takes };
+            let allowed = allowed + retry(frame.at, object, frame);
             let episode = episodes.entry(object).or_insert_with(|| Episode {
                 began: frame.at,
                 is_whole: place_in_burst > 0,
                 last: frame.at,
                 is_drawn: false,
                 is_late: false,
-                need: frame.at + frame.round_trip_max + log.turnaround,
+                need: frame.at + allowed,
             });
             truth.reveals += u64::from(is_new && episode.is_whole);
             episode.last = frame.at;
@@ -184,10 +203,11 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
                 // Lost while in sight: it must be back as fast as it had to come.
                 episode.is_drawn = false;
                 episode.is_late = false;
-                episode.need = frame.at + frame.round_trip_max + log.turnaround;
+                episode.need = frame.at + allowed;
             }
             // The first frame at or after `need` must show it: a round trip, a turnaround, and the wait for a frame.
-            if !is_drawn && !episode.is_drawn && !episode.is_late && !is_new && frame.at >= episode.need {
+            let is_due = frame.at >= episode.need && (has_lead && episode.is_whole || !is_new);
+            if !is_drawn && !episode.is_drawn && !episode.is_late && is_due {
                 if painter.is_borne_out(image, &view, commit, client_log.avatar, object) {
                     episode.is_late = true;
                     truth.late += 1;
@@ -231,6 +251,8 @@ struct Painter<'a> {
     meshes: &'a Meshes,
     /// Runs of static triangles with their boxes.
     clusters: Vec<(Aabb, std::ops::Range<usize>)>,
+    /// What stands still, for rays.
+    statics: RayScene,
     config: &'a MeasureConfig,
     frame: Duration,
 }
@@ -258,7 +280,8 @@ impl<'a> Painter<'a> {
                 (aabb, range)
             })
             .collect();
-        Painter { stage, log, meshes, clusters, config, frame: config.frame() }
+        let statics = RayScene::new(&stage.model.scene);
+        Painter { stage, log, meshes, clusters, statics, config, frame: config.frame() }
     }
 
     fn view(&self, eye: DVec3, yaw: f64) -> View {
@@ -387,6 +410,34 @@ impl<'a> Painter<'a> {
         refuted == 0
     }
 
+    /// Whether rays find an eye of the frame's lead region that sees a corner of the object past what stands still.
+    fn is_entitled(&self, frame: &FrameLog, commit: &Commit, object: ObjectId) -> bool {
+        let (Some(Some((position, orientation))), Some(info)) =
+            (commit.places.get(object.index()), self.log.objects.get(object.index()))
+        else {
+            return false;
+        };
+        let is_avatar = info.class == AVATAR_CLASS;
+        let placed = self.meshes.placed(is_avatar, &info.node, position.metres(), orientation.quat());
+        let corners: Vec<DVec3> = placed.flat_map(|(corners, _)| corners).collect();
+        let stride = (corners.len() / 24).max(1);
+        let radius = frame.ahead.eye_radius;
+        (0..if radius > 0.0 { EYES + 1 } else { 1 }).any(|i| {
+            // Around the middle in plan, where walking leads.
+            let turn = std::f64::consts::TAU * f64::from(i) / f64::from(EYES);
+            let eye = frame.eye
+                + if i == EYES || radius == 0.0 {
+                    DVec3::ZERO
+                } else {
+                    DVec3::new(turn.cos(), 0.0, turn.sin()) * radius
+                };
+            corners.iter().step_by(stride).any(|&corner| {
+                let way = corner - eye;
+                way.length_squared() > 1e-12 && self.statics.first_hit(eye, way, 0.0, 1.0 - 1e-9).is_none()
+            })
+        })
+    }
+
     /// How many states arrived of objects that could not be seen, all round, in this frame or the one before.
     fn judge_disclosure(&self, image: &mut ItemBuffer, log: &RunLog, client: usize, number: usize, truth: &mut Truth) {
         let own = log.clients[client].avatar;
@@ -408,10 +459,20 @@ impl<'a> Painter<'a> {
         let FrameLog { at, received, .. } = &log.clients[client].frames[number];
         let there = log.commit_at(*at).places.iter().flatten().count().saturating_sub(1);
         truth.hidden += there.saturating_sub(seen_last) as u64;
-        truth.overdisclosed += received.iter().filter(|object| !seen.contains_key(object)).count() as u64;
+        // What an eye of the lead's region sees is no over-disclosure; rays find most of it.
+        let back = log.clients[client].frames[number].round_trip_max.as_secs_f64() / self.frame.as_secs_f64();
+        let frames = &log.clients[client].frames;
+        let from = [&frames[number.saturating_sub(back.ceil() as usize + 1)], &frames[number]];
+        for &object in received.iter().filter(|object| !seen.contains_key(object)) {
+            let is_entitled = from.iter().any(|frame| self.is_entitled(frame, log.commit_at(*at), object));
+            truth.overdisclosed += u64::from(!is_entitled);
+        }
         truth.disclosure_frames += 1;
     }
 }
+
+/// Eyes of a lead's region that rays are cast from, besides its middle.
+const EYES: u32 = 16;
 
 /// Whether a box may meet the view's frustum: false only if it is wholly beyond one of its planes.
 fn may_be_in(view: &View, aabb: &Aabb) -> bool {

@@ -11,13 +11,13 @@ use std::time::{Duration, Instant};
 use eyeline_client::net::Driver;
 use eyeline_client::session::{FrameTime, Session, SessionConfig};
 use eyeline_client::tracking::{Ahead, TrackerStats};
-use eyeline_protocol::{LocalTime, ObjectId, Role, WorldTime};
+use eyeline_protocol::{ClientRecord, LocalTime, ObjectId, Role, ServerRecord, WorldTime, codec};
 use eyeline_server::world::World;
 use eyeline_visibility::{DynamicOctree, Occlusion};
 use glam::DVec3;
 
 use super::{Bursts, ClientLog, Commit, FrameLog, MeasureConfig, ObjectInfo, RunLog, known_of};
-use crate::people::{Person, Replay};
+use crate::people::{Extras, Person};
 use crate::report::Progress;
 use crate::stage::{Crowd, Stage};
 use crate::virtual_net::{
@@ -38,15 +38,17 @@ pub(super) fn run(
     let mut run = VirtualRun::new(world, config.seed, BEGIN);
     let bounds = stage.model.scene.bounds();
     let index = || Box::new(move || Box::new(DynamicOctree::new(bounds)) as Box<_>);
-    let actor = crowd.map(|crowd| {
-        let replay = Replay::new(crowd.clone(), stage.anchor(), 0.0);
+    let mut actors = Vec::new();
+    for extras in Extras::all(stage, crowd, config.residents, config.seed, config.clients) {
         let session = SessionConfig::default()
             .with_tracker(config.tracker())
-            .with_role(Role::Actor { avatars: replay.avatars() })
-            .with_name("replay");
-        let plan = ClientPlan::new(session, *link).with_phase(Duration::ZERO);
-        run.join(plan, Box::new(Acting(replay)), index())
-    });
+            .with_role(Role::Actor { avatars: extras.avatars() })
+            .with_name(extras.name());
+        // Residents walk inside the server; a replay comes over the network like anybody else.
+        let link = if extras.is_local() { LinkRules::default() } else { *link };
+        let plan = ClientPlan::new(session, link).with_phase(Duration::ZERO);
+        actors.push(run.join(plan, Box::new(Acting(extras)), index()));
+    }
     let costs: Vec<_> = (0..config.clients).map(|_| Rc::new(RefCell::new(Cost::default()))).collect();
     let mut numbers = Vec::new();
     for (number, cost) in costs.iter().enumerate() {
@@ -66,7 +68,7 @@ pub(super) fn run(
         clients: vec![ClientLog::default(); config.clients],
         trackers: Vec::new(),
         actor_poses: 0,
-        actor,
+        actors,
     };
     let progress =
         Progress::new((config.warm_up + config.window).as_millis() as u64, &format!("{policy}: virtual time"));
@@ -159,8 +161,8 @@ impl ClientDriver for Watching {
     }
 }
 
-/// A recorded crowd in virtual time.
-struct Acting(Replay);
+/// People whom nobody looks for, in virtual time.
+struct Acting(Extras);
 
 impl ClientDriver for Acting {
     fn poses(&mut self, session: &Session, at: WorldTime, poses: &mut Vec<Pose>) {
@@ -176,6 +178,32 @@ impl ClientDriver for Acting {
     }
 }
 
+/// The objects that a datagram's records are about, poses apart.
+fn spoken_of(message: &Passing<'_>) -> Vec<ObjectId> {
+    match message.direction {
+        Direction::Up => {
+            let records = codec::decode_client_datagram(message.bytes).map_or(Vec::new(), |(_, records)| records);
+            let object = |record: ClientRecord| match record {
+                ClientRecord::Pose { .. } => None,
+                ClientRecord::Request { object, .. }
+                | ClientRecord::Release { object, .. }
+                | ClientRecord::ViolationAck { object, .. } => Some(object),
+            };
+            records.into_iter().filter_map(object).collect()
+        }
+        Direction::Down => {
+            let records = codec::decode_server_datagram(message.bytes).map_or(Vec::new(), |(_, records)| records);
+            let object = |record: ServerRecord| match record {
+                ServerRecord::State { object, .. }
+                | ServerRecord::Bound { object, .. }
+                | ServerRecord::Violation { object, .. }
+                | ServerRecord::Hidden { object } => object,
+            };
+            records.into_iter().map(object).collect()
+        }
+    }
+}
+
 /// Notes what a real run's recorders note.
 struct Recorder<'a> {
     config: &'a MeasureConfig,
@@ -187,7 +215,7 @@ struct Recorder<'a> {
     /// What each tracker had counted when the measured time began.
     trackers: Vec<TrackerStats>,
     actor_poses: u64,
-    actor: Option<usize>,
+    actors: Vec<usize>,
 }
 
 impl Recorder<'_> {
@@ -220,17 +248,26 @@ impl Observer for Recorder<'_> {
             late: Duration::ZERO,
             round_trip_max,
             round_trip,
+            ahead: frame.session.ahead(),
+            retry_after: frame.session.retry_after(),
             known,
             received,
         });
+    }
+
+    fn lost(&mut self, message: &Passing<'_>) {
+        if let Some(watcher) = self.watcher(message.client).filter(|_| message.kind == Kind::Datagram) {
+            let objects = spoken_of(message);
+            self.clients[watcher].lost.extend(objects.into_iter().map(|object| (message.at, object)));
+        }
     }
 
     fn arrives(&mut self, message: &Passing<'_>) {
         if message.at < self.start || message.kind != Kind::Datagram {
             return;
         }
-        if Some(message.client) == self.actor {
-            if let Ok((_, records)) = eyeline_protocol::codec::decode_client_datagram(message.bytes)
+        if self.actors.contains(&message.client) {
+            if let Ok((_, records)) = codec::decode_client_datagram(message.bytes)
                 && message.direction == Direction::Up
             {
                 self.actor_poses += records.len() as u64;

@@ -55,6 +55,10 @@ pub struct Measure {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     clients: Option<u32>,
 
+    /// Avatars in all; those without a watching client walk inside the server [default: one for each client]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    avatars: Option<u32>,
+
     /// Decides motion, starts, the network in virtual time and the choice of frames
     #[arg(long, value_name = "N", default_value_t = 7)]
     seed: u64,
@@ -214,6 +218,7 @@ pub fn run(options: &Measure) -> anyhow::Result<()> {
     };
     let config = MeasureConfig {
         clients,
+        residents: options.avatars.map_or(0, |avatars| (avatars as usize).saturating_sub(clients)),
         seed: options.seed,
         warm_up: Duration::from_secs_f64(options.warm_up),
         window: Duration::from_secs_f64(options.seconds),
