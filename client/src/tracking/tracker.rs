@@ -389,7 +389,7 @@ impl Tracker {
             entry.valid_from = entry.valid_from.max(tbv.issued);
         }
         entry.issue = tbv.issue;
-        if entry.ask.is_some_and(|ask| ask.want == Want::Bound) {
+        if is_withheld || entry.ask.is_some_and(|ask| ask.want == Want::Bound) {
             entry.ask = None;
             self.asked.remove(&object);
         }
