@@ -11,6 +11,7 @@ mod quic_net;
 pub mod relay;
 pub mod report;
 pub mod scene;
+pub mod soak;
 pub mod stage;
 pub mod trace;
 pub mod track;

@@ -21,10 +21,7 @@ use eyeline_sim::virtual_net::{
 use eyeline_visibility::Occlusion;
 use glam::DVec3;
 
-use crate::index::IndexView;
-use crate::truth::{Allowance, Truth};
-use crate::walker::Standing;
-use crate::walls::{Wall, Walls};
+use eyeline_sim::soak::{Allowance, IndexView, Standing, Truth, Wall, Walls};
 
 /// A place that the wall hides from the client, with 8 m to go until it does not.
 pub const HIDDEN: DVec3 = DVec3::new(0.0, 0.0, -10.0);

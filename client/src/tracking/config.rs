@@ -26,6 +26,12 @@ pub enum Sabotage {
     PointLead,
     /// Bounds are grown for the lead, and looked at from nine points of the region instead of the whole: a heuristic.
     SampledLead,
+    /// A question is asked once, heard or not.
+    NeverRepeat,
+    /// A bound from before a violation is believed.
+    AcceptStaleIssue,
+    /// Bounds are held beyond their expiry.
+    IgnoreExpiry,
 }
 
 impl std::str::FromStr for Sabotage {
@@ -38,9 +44,13 @@ impl std::str::FromStr for Sabotage {
             "freeze-clock" => Ok(Sabotage::FreezeClock),
             "point-lead" => Ok(Sabotage::PointLead),
             "sampled-lead" => Ok(Sabotage::SampledLead),
-            other => {
-                Err(format!("'{other}' is not drop-exposures, late-one-tick, freeze-clock, point-lead or sampled-lead"))
-            }
+            "never-repeat" => Ok(Sabotage::NeverRepeat),
+            "accept-stale-issue" => Ok(Sabotage::AcceptStaleIssue),
+            "ignore-expiry" => Ok(Sabotage::IgnoreExpiry),
+            other => Err(format!(
+                "'{other}' is not drop-exposures, late-one-tick, freeze-clock, point-lead, sampled-lead, never-repeat, \
+                 accept-stale-issue or ignore-expiry"
+            )),
         }
     }
 }

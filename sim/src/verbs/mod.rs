@@ -8,6 +8,7 @@ mod place;
 mod replay;
 mod scene;
 mod serve;
+mod soak;
 mod swarm;
 mod track;
 
@@ -50,6 +51,9 @@ pub enum Verb {
     /// Put a bad path between clients and a server: delay, jitter, loss, duplicates, reordering, a rate, blackouts
     #[command(after_long_help = link::EXAMPLES)]
     Link(Box<link::Link>),
+    /// Keep every promise in thousands of towns made from seeds, in virtual time; or catch mutants that do not
+    #[command(after_long_help = soak::EXAMPLES)]
+    Soak(soak::Soak),
 }
 
 /// Runs a verb.
@@ -65,6 +69,7 @@ pub fn run(verb: &Verb) -> anyhow::Result<()> {
         Verb::Swarm(options) => swarm::run(options),
         Verb::Replay(options) => replay::run(options),
         Verb::Link(options) => link::run(options),
+        Verb::Soak(options) => soak::run(options),
     }
 }
 

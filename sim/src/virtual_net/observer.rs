@@ -25,7 +25,7 @@ pub struct Passing<'a> {
 }
 
 /// What an interceptor decides about a datagram.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// The link's rules decide.
     AsRuled,
@@ -33,6 +33,8 @@ pub enum Verdict {
     Instead(Fate),
     /// It arrives twice, after these times.
     Twice(Duration, Duration),
+    /// It says this instead, and the link's rules decide about that: for ends that lie.
+    Rewrite(Vec<u8>),
 }
 
 /// A client's frame, after its session took it.

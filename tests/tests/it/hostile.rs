@@ -11,8 +11,8 @@ use eyeline_protocol::{
     WorldTime, codec,
 };
 use eyeline_server::world::World;
+use eyeline_sim::soak::Truth;
 use eyeline_sim::virtual_net::{Direction, Framed, Kind, LinkRules, Observer, Passing, Verdict};
-use eyeline_tests::Truth;
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;

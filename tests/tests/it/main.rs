@@ -1,6 +1,7 @@
 //! Whole-system scenarios in virtual time. Each name is a claim.
 
 mod hostile;
+mod mutants;
 mod network;
 mod promises;
 mod quic_time;

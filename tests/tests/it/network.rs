@@ -8,9 +8,10 @@ use std::time::Duration;
 use eyeline_client::session::SessionConfig;
 use eyeline_protocol::Want;
 use eyeline_protocol::{ClientRecord, ObjectId, ServerRecord, codec};
+use eyeline_sim::soak::{IndexView, Standing, Walls};
 use eyeline_sim::virtual_net::ClientPlan;
 use eyeline_sim::virtual_net::{Direction, Fate, LinkRules, Passing, Verdict};
-use eyeline_tests::{HIDDEN, IndexView, OPEN, Pair, Standing, Walls};
+use eyeline_tests::{HIDDEN, OPEN, Pair};
 use glam::DVec3;
 
 const fn ms(millis: u64) -> Duration {

@@ -8,8 +8,8 @@ use eyeline_protocol::{Role, WorldInfo, WorldTime};
 use eyeline_server::policy::Visible;
 use eyeline_server::spec::{SpawnSpec, WorldSpec};
 use eyeline_server::world::{World, WorldConfig};
+use eyeline_sim::soak::{Allowance, Board, Crowd, Ground, IndexView, Truth, Walk, Walker, Wall, Walls};
 use eyeline_sim::virtual_net::{Capacity, ClientPlan, Ignore, LinkRules, Observer, VirtualRun};
-use eyeline_tests::{Allowance, Crowd, IndexView, Truth, Walk, Walker, Wall, Walls};
 use glam::DVec3;
 
 /// What a village is like.
@@ -86,6 +86,7 @@ impl Village {
         let session = SessionConfig::default().with_role(Role::Actor { avatars: CROWD });
         let plan = ClientPlan::new(session, LinkRules { loss: 0.0, ..rules.link }).with_phase(Duration::ZERO);
         run.join(plan, Box::new(crowd), IndexView::default().maker());
+        let (ground, board) = (Ground::in_plan(walls.clone()), Board::default());
         let mut views = Vec::new();
         for person in PEOPLE {
             let view = IndexView::default();
@@ -94,7 +95,8 @@ impl Village {
                 .with_phase(Duration::from_millis(11 * person as u64))
                 .with_drift(drift)
                 .with_capacity(rules.capacity.clone());
-            let walker = Walker::new(walls.clone(), walk(person - 1, 1.3), 0.0);
+            let entry = board.enter();
+            let walker = Walker::new(&ground, walk(person - 1, 1.3), 0.0, board.clone(), entry);
             assert_eq!(run.join(plan, Box::new(walker), view.maker()), person);
             views.push(view);
         }

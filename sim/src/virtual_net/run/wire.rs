@@ -112,13 +112,22 @@ impl VirtualRun {
         observer: &mut dyn Observer,
     ) {
         let now = self.now;
+        let verdict = match &mut self.interceptor {
+            Some(interceptor) => {
+                interceptor(&Passing { client, direction, kind: Kind::Datagram, bytes: &bytes, at: now })
+            }
+            None => Verdict::AsRuled,
+        };
+        let (verdict, bytes) = match verdict {
+            Verdict::Rewrite(bytes) => (Verdict::AsRuled, bytes),
+            verdict => (verdict, bytes),
+        };
         let passing = |kind, bytes| Passing { client, direction, kind, bytes, at: now };
         let packet = passing(Kind::Datagram, &bytes);
-        let verdict = self.interceptor.as_mut().map_or(Verdict::AsRuled, |interceptor| interceptor(&packet));
         // Drawn whatever the verdict, so that an interception changes nothing else.
         let ruled = self.link(client, direction).datagram(bytes.len(), now);
         let (first, second) = match verdict {
-            Verdict::AsRuled => ruled,
+            Verdict::AsRuled | Verdict::Rewrite(_) => ruled,
             Verdict::Instead(fate) => (fate, None),
             Verdict::Twice(first, second) => (Fate::Deliver(first), Some(Fate::Deliver(second))),
         };
