@@ -56,12 +56,6 @@ pub struct Link {
     #[arg(long, value_name = "FROM+LENGTH", value_delimiter = ',', value_parser = blackout)]
     blackout: Vec<Blackout>,
 
-    #[command(flatten)]
-    up: Up,
-
-    #[command(flatten)]
-    down: Down,
-
     /// Decides what is left to chance
     #[arg(long, value_name = "N", default_value_t = 7)]
     seed: u64,
@@ -69,6 +63,12 @@ pub struct Link {
     /// How long to relay, seconds [default: until Ctrl-C]
     #[arg(long, value_name = "SECONDS", value_parser = number(0.1..=1e6, "s"))]
     seconds: Option<f64>,
+
+    #[command(flatten)]
+    up: Up,
+
+    #[command(flatten)]
+    down: Down,
 }
 
 /// The options of one direction only, which go before those of both.
@@ -77,21 +77,27 @@ macro_rules! one_way {
         #[derive(Args)]
         #[command(next_help_heading = $heading)]
         struct $name {
-            #[arg(id = concat!($prefix, "-delay"), long, value_name = "TIME", value_parser = time)]
+            #[arg(id = concat!($prefix, "-delay"), long, help = "As --delay", value_name = "TIME", value_parser = time)]
             delay: Option<Duration>,
-            #[arg(id = concat!($prefix, "-jitter"), long, value_name = "TIME", value_parser = time)]
+            #[arg(id = concat!($prefix, "-jitter"), long, help = "As --jitter")]
+            #[arg(value_name = "TIME", value_parser = time)]
             jitter: Option<Duration>,
-            #[arg(id = concat!($prefix, "-loss"), long, value_name = "SHARE", value_parser = share())]
+            #[arg(id = concat!($prefix, "-loss"), long, help = "As --loss")]
+            #[arg(value_name = "SHARE", value_parser = share())]
             loss: Option<f64>,
-            #[arg(id = concat!($prefix, "-duplicate"), long, value_name = "SHARE", value_parser = share())]
+            #[arg(id = concat!($prefix, "-duplicate"), long, help = "As --duplicate")]
+            #[arg(value_name = "SHARE", value_parser = share())]
             duplicate: Option<f64>,
-            #[arg(id = concat!($prefix, "-reorder"), long, value_name = "SHARE", value_parser = share())]
+            #[arg(id = concat!($prefix, "-reorder"), long, help = "As --reorder")]
+            #[arg(value_name = "SHARE", value_parser = share())]
             reorder: Option<f64>,
-            #[arg(id = concat!($prefix, "-rate"), long, value_name = "RATE", value_parser = rate)]
+            #[arg(id = concat!($prefix, "-rate"), long, help = "As --rate", value_name = "RATE", value_parser = rate)]
             rate: Option<NonZeroU64>,
-            #[arg(id = concat!($prefix, "-queue"), long, value_name = "BYTES", value_parser = clap::value_parser!(u32).range(1..))]
+            #[arg(id = concat!($prefix, "-queue"), long, help = "As --queue")]
+            #[arg(value_name = "BYTES", value_parser = clap::value_parser!(u32).range(1..))]
             queue: Option<u32>,
-            #[arg(id = concat!($prefix, "-blackout"), long, value_name = "FROM+LENGTH", value_delimiter = ',', value_parser = blackout)]
+            #[arg(id = concat!($prefix, "-blackout"), long, help = "As --blackout", value_name = "FROM+LENGTH")]
+            #[arg(value_delimiter = ',', value_parser = blackout)]
             blackout: Vec<Blackout>,
         }
 
