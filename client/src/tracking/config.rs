@@ -22,6 +22,12 @@ pub enum Sabotage {
     LateOneTick,
     /// The clock that bounds grow by stands still.
     FreezeClock,
+    /// A question is asked once, heard or not.
+    NeverRepeat,
+    /// A bound from before a violation is believed.
+    AcceptStaleIssue,
+    /// Bounds are held beyond their expiry.
+    IgnoreExpiry,
 }
 
 impl std::str::FromStr for Sabotage {
@@ -32,7 +38,13 @@ impl std::str::FromStr for Sabotage {
             "drop-exposures" => Ok(Sabotage::DropExposures),
             "late-one-tick" => Ok(Sabotage::LateOneTick),
             "freeze-clock" => Ok(Sabotage::FreezeClock),
-            other => Err(format!("'{other}' is not drop-exposures, late-one-tick or freeze-clock")),
+            "never-repeat" => Ok(Sabotage::NeverRepeat),
+            "accept-stale-issue" => Ok(Sabotage::AcceptStaleIssue),
+            "ignore-expiry" => Ok(Sabotage::IgnoreExpiry),
+            other => Err(format!(
+                "'{other}' is not drop-exposures, late-one-tick, freeze-clock, never-repeat, accept-stale-issue or \
+                 ignore-expiry"
+            )),
         }
     }
 }

@@ -380,6 +380,7 @@ impl Tracker {
         let is_void =
             tbv.issue < entry.issue || tbv.issued < entry.valid_from || matches!(entry.belief, Belief::Absent);
         let is_older = matches!(entry.belief, Belief::Hidden(held) if held.issued > tbv.issued);
+        let is_void = is_void && self.config.sabotage != Some(Sabotage::AcceptStaleIssue);
         if is_void || is_older || !awaited {
             self.stats.stale += 1;
             return;
@@ -645,6 +646,8 @@ impl Tracker {
             Growth::AtClient => tbv.expires,
             Growth::FixedPeriod(period) => tbv.expires.min(tbv.issued + period),
         };
+        let fixed_expiry =
+            if self.config.sabotage == Some(Sabotage::IgnoreExpiry) { WorldTime::MAX } else { fixed_expiry };
         if horizon >= fixed_expiry {
             self.stats.expired += 1;
             let want = if self.is_staged() { Want::Bound } else { Want::State };
@@ -800,6 +803,7 @@ impl Tracker {
         for &object in &self.asked {
             let Some(ask) = self.entries.get_mut(&object).and_then(|entry| entry.ask.as_mut()) else { continue };
             let is_lost = ask.sent_at.is_some_and(|at| now.since(at) > self.timeout);
+            let is_lost = is_lost && self.config.sabotage != Some(Sabotage::NeverRepeat);
             let is_late = ask.sent_at.is_none() && ask.not_before.is_some_and(|frame| frames >= frame);
             if !ask.is_unsaid && (is_lost || is_late) {
                 self.stats.resent += u64::from(is_lost);

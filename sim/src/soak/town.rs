@@ -3,21 +3,27 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::virtual_net::{ClientPlan, LinkRules, VirtualRun};
 use eyeline_client::session::SessionConfig;
-use eyeline_client::tracking::{Growth, Sabotage, TrackerConfig};
+use eyeline_client::tracking::{Growth, Lead, Sabotage, TrackerConfig};
 use eyeline_protocol::{Role, WorldInfo, WorldTime};
-use eyeline_server::policy::Visible;
+use eyeline_server::policy::{Broadcast, Policy, Visible};
 use eyeline_server::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, WorldSpec};
 use eyeline_server::world::{World, WorldConfig};
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::checks::Checks;
+use super::failures::Failures;
+use super::heard::{Heard, Secrecy};
 use super::index::IndexView;
+use super::mutant::{Mutant, Places};
+use super::sight::Ground;
 use super::truth::{Allowance, Truth};
-use super::walker::{Crowd, Walk, Walker, free_place};
+use super::walk::{Board, Walk, free_place};
+use super::walker::{Crowd, Walker};
 use super::walls::{Wall, Walls};
+use crate::virtual_net::{ClientPlan, LinkRules, VirtualRun};
 
 /// What a town is like.
 #[derive(Clone, Debug)]
@@ -46,12 +52,27 @@ pub struct TownRules {
     pub lateness: Duration,
     /// How fast clients walk, m/s. An avatar's speed limit is 2 m/s.
     pub walk_speed: f64,
-    /// Damage.
+    /// Pixels a side of the faces that clients cull on; `None` to cull by geometry in plan, which is quick.
+    pub image_side: Option<u32>,
+    /// Share of the avatars that do all they can to be hard to follow.
+    pub adversarial: f64,
+    /// How far ahead clients look.
+    pub lead: Lead,
+    /// Whether everything is told to everybody, instead of what is asked for.
+    pub broadcast: bool,
+    /// Share of the promised room that hidden objects must be left; 1 in earnest.
+    pub room_share: f64,
+    /// Damage to the trackers.
     pub sabotage: Option<Sabotage>,
+    /// Damage to anything.
+    pub mutant: Option<Mutant>,
 }
 
+/// How much of the promised room today's bounds leave (ARCHITECTURE, "A blurred bound hides less").
+const ROOM_SHARE: f64 = 0.3;
+
 impl TownRules {
-    /// Five clients, 44 movers, and a link that the seed decides.
+    /// Four to six clients, 44 movers beside them, images of 64 pixels a side, and a link that the seed decides.
     pub fn seeded(seed: u64) -> TownRules {
         let mut chance = Pcg64::seed_from_u64(seed ^ 0x7057_1e55);
         let millis = |chance: &mut Pcg64, most: u64| Duration::from_micros(chance.random_range(0..=most * 1_000));
@@ -84,7 +105,13 @@ impl TownRules {
             },
             lateness: Duration::ZERO,
             walk_speed: chance.random_range(0.5..2.0),
+            image_side: Some(64),
+            adversarial: 1.0 / 3.0,
+            lead: if chance.random_bool(0.5) { Lead::Auto } else { Lead::None },
+            broadcast: false,
+            room_share: ROOM_SHARE,
             sabotage: None,
+            mutant: None,
         }
     }
 }
@@ -98,22 +125,31 @@ pub struct Town {
     pub run: VirtualRun,
     /// What is known to be wrong with it.
     pub truth: Truth,
+    /// What is known to be wrong with what clients are told.
+    pub heard: Heard,
     rules: TownRules,
-    walls: Arc<Walls>,
+    places: Places,
+    ground: Ground,
+    board: Board,
     chance: Pcg64,
 }
 
 impl Town {
     /// Builds the town; its clients join in the first 200 ms.
-    pub fn new(rules: TownRules) -> Town {
+    pub fn new(mut rules: TownRules) -> Town {
+        if let Some(mutant) = rules.mutant {
+            mutant.prepare(&mut rules);
+        }
         let mut chance = Pcg64::seed_from_u64(rules.seed);
         let walls = Arc::new(walls(&mut chance));
         let mut config = WorldConfig::default().with_grid_seed(rules.seed);
         config.validity_max = rules.validity_max;
+        let secrecy = Secrecy { blur: config.blur, validity_max: rules.validity_max, datagram_limit: 1150 };
         let spec = spec(&walls, &mut chance, rules.carts);
         let start = WorldTime::from_micros(0);
         let info = WorldInfo { name: "town".into(), hash: [0; 32], size_bytes: 0, two_sided: false };
-        let world = World::new(config, spec, info, DVec3::ZERO, Box::new(Visible), start).expect("towns are well made");
+        let policy: Box<dyn Policy> = if rules.broadcast { Box::new(Broadcast) } else { Box::new(Visible) };
+        let world = World::new(config, spec, info, DVec3::ZERO, policy, start).expect("towns are well made");
         let mut run = VirtualRun::new(world, rules.seed, start);
         if rules.lateness > Duration::ZERO {
             let mut late = Pcg64::seed_from_u64(rules.seed ^ 0x1a7e);
@@ -123,8 +159,17 @@ impl Town {
                 Duration::from_micros(if late.random_bool(0.3) { late.random_range(0..most) } else { 0 })
             });
         }
+        let ground = match rules.image_side {
+            Some(side) => Ground::with_images(walls.clone(), side),
+            None => Ground::in_plan(walls.clone()),
+        };
         let truth = Truth::new(walls.clone());
-        let mut town = Town { run, truth, rules, walls, chance };
+        let heard = Heard::new(walls, secrecy, rules.room_share);
+        let places = Places::default();
+        if let Some(mutant) = rules.mutant {
+            run.intercept(mutant.liar(rules.seed, places.clone()));
+        }
+        let mut town = Town { run, truth, heard, rules, places, ground, board: Board::default(), chance };
         town.join_crowd();
         for _ in 0..town.rules.clients {
             town.join();
@@ -138,30 +183,39 @@ impl Town {
         if count == 0 {
             return;
         }
-        let walks = (0..count).map(|_| self.walk(1.6)).collect();
+        let walks = (0..count).map(|_| self.walk(1.6, None)).collect();
         let session = SessionConfig::default().with_role(Role::Actor { avatars: count });
         let plan = ClientPlan::new(session, self.rules.link);
         let driver = Crowd::new(walks, self.rules.teleports, self.rules.away);
         self.run.join(plan, Box::new(driver), IndexView::default().maker());
     }
 
-    fn walk(&mut self, speed: f64) -> Walk {
-        let place = free_place(&self.walls, &mut self.chance, HALF);
-        Walk::new(self.walls.clone(), self.chance.random(), place, speed, HALF)
+    /// A walk; `own` is its entry on the board, if it has eyes.
+    fn walk(&mut self, speed: f64, own: Option<usize>) -> Walk {
+        let place = free_place(&self.ground.walls, &mut self.chance, HALF);
+        let walk = Walk::new(self.ground.walls.clone(), self.chance.random(), place, speed, HALF);
+        let is_adversarial = self.chance.random_bool(self.rules.adversarial);
+        if is_adversarial { walk.adversarial(self.board.clone(), own) } else { walk }
     }
 
     /// Another client joins, now; returns its number.
     pub fn join(&mut self) -> usize {
-        let tracker = TrackerConfig::default().with_growth(self.rules.growth).with_sabotage(self.rules.sabotage);
+        let tracker = TrackerConfig::default()
+            .with_growth(self.rules.growth)
+            .with_lead(self.rules.lead)
+            .with_sabotage(self.rules.sabotage);
+        let expects_lead = self.rules.lead != Lead::None || self.rules.mutant == Some(Mutant::LeadForgotten);
         let session = SessionConfig::default().with_tracker(tracker);
         let drift = if self.chance.random_bool(0.5) { self.rules.drift } else { -self.rules.drift };
         let plan = ClientPlan::new(session, self.rules.link).with_drift(drift);
-        let allowance = Allowance::of(plan.up, plan.down);
-        let walk = self.walk(self.rules.walk_speed);
-        let driver = Walker::new(self.walls.clone(), walk, self.rules.teleports);
+        let allowance = Allowance::of(plan.up, plan.down).with_lead(expects_lead);
+        let entry = self.board.enter();
+        let walk = self.walk(self.rules.walk_speed, Some(entry));
+        let driver = Walker::new(&self.ground, walk, self.rules.teleports, self.board.clone(), entry);
         let view = IndexView::default();
         let client = self.run.join(plan, Box::new(driver), view.maker());
         self.truth.watch(client, view, allowance);
+        self.heard.watch(client);
         client
     }
 
@@ -177,7 +231,14 @@ impl Town {
 
     /// Lets time pass.
     pub fn run_for(&mut self, span: Duration) {
-        self.run.run_for(span, &mut self.truth);
+        self.run.run_for(span, &mut Checks { truth: &mut self.truth, heard: &mut self.heard, places: &self.places });
+    }
+
+    /// Everything that was wrong.
+    pub fn failures(&self) -> Failures {
+        let mut failures = self.truth.failures.clone();
+        failures.extend(&self.heard.failures);
+        failures
     }
 }
 
@@ -185,9 +246,11 @@ impl Town {
 fn walls(chance: &mut Pcg64) -> Walls {
     let walls = (0..16)
         .map(|i| {
-            let (x, z) = (chance.random_range(-HALF..HALF), chance.random_range(-HALF..HALF));
-            let long = chance.random_range(3.0..14.0);
-            if i % 2 == 0 { Wall::new(x, z, x + long, z + 0.2) } else { Wall::new(x, z, x + 0.2, z + long) }
+            // Even corners are exact in f32, so that triangles are where the truth has walls.
+            let mut even = |low: f64, high: f64| (chance.random_range(low..high) * 64.0).round() / 64.0;
+            let (x, z) = (even(-HALF, HALF), even(-HALF, HALF));
+            let (long, thick) = (even(3.0, 14.0), 13.0 / 64.0);
+            if i % 2 == 0 { Wall::new(x, z, x + long, z + thick) } else { Wall::new(x, z, x + thick, z + long) }
         })
         .collect();
     Walls { walls }

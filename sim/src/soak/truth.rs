@@ -4,14 +4,16 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::virtual_net::{Direction, Framed, Kind, LinkRules, Observer, Passing};
+use eyeline_client::session::Session;
 use eyeline_protocol::{ClientRecord, Issue, ObjectId, ServerRecord, WorldTime, codec};
 use eyeline_server::world::{Object, World};
 use eyeline_visibility::{Aabb, Bound};
 use glam::DVec3;
 
+use super::failures::Failures;
 use super::index::IndexView;
 use super::walls::Walls;
+use crate::virtual_net::{Direction, Framed, Kind, LinkRules, Observer, Passing};
 
 /// What a client's link is known to do: how late something may be.
 #[derive(Clone, Copy, Debug)]
@@ -20,12 +22,19 @@ pub struct Allowance {
     pub up_max: Duration,
     /// Longest way from the server.
     pub down_max: Duration,
+    /// Whether the client looks ahead, so that what comes into view is to be there at once.
+    pub lead: bool,
 }
 
 impl Allowance {
     /// What these rules allow.
     pub fn of(up: LinkRules, down: LinkRules) -> Allowance {
-        Allowance { up_max: up.one_way_max(), down_max: down.one_way_max() }
+        Allowance { up_max: up.one_way_max(), down_max: down.one_way_max(), lead: false }
+    }
+
+    /// Expects a lead, or none.
+    pub fn with_lead(self, lead: bool) -> Allowance {
+        Allowance { lead, ..self }
     }
 
     /// The greatest round trip; the server's turnaround is nothing in virtual time.
@@ -61,6 +70,16 @@ struct Watcher {
     retry_max: Duration,
     /// When it made its first frame.
     began: Option<WorldTime>,
+    /// Its eye in its newest frame, and when that last came from where nobody can walk from: a lead is no help then.
+    eye: Option<(DVec3, WorldTime)>,
+    leapt: WorldTime,
+    /// Newest round trips that a lead could know of, with their variation.
+    foreseen: VecDeque<(WorldTime, Duration)>,
+    /// When it heard of the server last, and when it did so after a long silence.
+    heard: WorldTime,
+    silent_until: WorldTime,
+    /// Since when an object that should be drawn, or drawn elsewhere, has not been.
+    awaited: BTreeMap<ObjectId, WorldTime>,
 }
 
 /// Watches a run over [`Walls`] and records each promise that is broken (DESIGN §3.2 and §3.3).
@@ -68,10 +87,8 @@ pub struct Truth {
     walls: Arc<Walls>,
     objects: Vec<Past>,
     watchers: BTreeMap<usize, Watcher>,
-    /// What was wrong, in order; at most `FAILURES_MAX`.
-    pub failures: Vec<String>,
-    /// How many things were wrong.
-    pub failed: u64,
+    /// What was wrong.
+    pub failures: Failures,
     /// Bounds that were compared with the truth.
     pub bounds_checked: u64,
     /// Object-frames in which an object was truly visible.
@@ -84,10 +101,17 @@ pub struct Truth {
     pub states_checked: u64,
 }
 
-const FAILURES_MAX: usize = 8;
-
 /// How far back a loss may still matter to what is late now.
 const LOSS_WINDOW: Duration = Duration::from_millis(1_500);
+
+/// A lead is known to be as long as a path needs only once it has been so for a while.
+const FORESIGHT_WINDOW: Duration = Duration::from_millis(1_000);
+
+/// Who hears of the server is told something with every tick. Who is not for so long is in the dark, and then nothing can be in time.
+const SILENCE_MIN: Duration = Duration::from_millis(500);
+
+/// Who has not heard of the server for so long shows nothing (DESIGN §5); a frame less, since its clock is another.
+const SILENCE_MAX: Duration = Duration::from_millis(4_900);
 
 /// So many changes of an object are remembered: 10 s at 20 Hz.
 const CHANGES_MAX: usize = 200;
@@ -99,8 +123,7 @@ impl Truth {
             walls,
             objects: Vec::new(),
             watchers: BTreeMap::new(),
-            failures: Vec::new(),
-            failed: 0,
+            failures: Failures::default(),
             bounds_checked: 0,
             visible_checked: 0,
             not_drawn: 0,
@@ -119,6 +142,12 @@ impl Truth {
             lost_control: VecDeque::new(),
             retry_max: Duration::ZERO,
             began: None,
+            eye: None,
+            leapt: WorldTime::MIN,
+            foreseen: VecDeque::new(),
+            heard: WorldTime::MIN,
+            silent_until: WorldTime::MIN,
+            awaited: BTreeMap::new(),
         };
         self.watchers.insert(client, watcher);
     }
@@ -126,7 +155,12 @@ impl Truth {
     /// Fails the test if anything was wrong.
     #[track_caller]
     pub fn assert_kept(&self, what: &str) {
-        assert!(self.failed == 0, "{what}: {} promises broken, first:\n{}", self.failed, self.failures.join("\n"));
+        self.failures.assert_none(what);
+    }
+
+    /// Whether `client` truly saw `object` in its newest frame.
+    pub fn sees(&self, client: usize, object: ObjectId) -> bool {
+        self.watchers.get(&client).is_some_and(|watcher| watcher.seen_since.contains_key(&object))
     }
 
     fn learn(&mut self, world: &World, at: WorldTime) {
@@ -180,17 +214,12 @@ impl Truth {
     }
 
     fn check(&mut self, frame: &Framed<'_>) {
-        let Truth { walls, objects, watchers, failures, failed, .. } = self;
+        let Truth { walls, objects, watchers, failures, .. } = self;
         let Some(watcher) = watchers.get_mut(&frame.client) else { return };
         let (Some(eye), Some(tracker), Some(time)) = (frame.eye, frame.session.tracker(), frame.time) else { return };
         let Some(welcome) = frame.session.welcome() else { return };
         let at = frame.at;
-        let mut fail = |text: String| {
-            *failed += 1;
-            if failures.len() < FAILURES_MAX {
-                failures.push(format!("client {} at {} µs: {text}", frame.client, at.micros()));
-            }
-        };
+        let mut fail = |text: String| failures.note(frame.client, at, || text);
         if time.latest < at {
             fail(format!("its latest possible server time is {} µs early", at.micros() - time.latest.micros()));
         }
@@ -202,22 +231,39 @@ impl Truth {
         watcher.lost_control.retain(|&past| recent(past));
         let lost_control = watcher.lost_control.len() as u32;
         let began = *watcher.began.get_or_insert(at);
+        watcher.look(eye, frame.session, at);
+        let round_trip_max = watcher.allowance.round_trip_max();
+        let unforeseen = watcher.unforeseen();
+        let silent = watcher.silent(at);
+        let is_cut_off = at.since(watcher.heard) > SILENCE_MAX;
         for (index, (object, past)) in frame.world.objects().iter().zip(objects.iter()).enumerate() {
             let id = ObjectId(index as u32);
             if !object.alive || !object.present || own.contains(&id) {
                 watcher.seen_since.remove(&id);
+                watcher.awaited.remove(&id);
                 continue;
             }
-            let losses = watcher.lost.get_mut(&id).map_or(0, |lost| {
-                lost.retain(|&past| recent(past));
-                lost.len() as u32
-            });
+            let place = object.position.metres();
+            let radius = frame.world.classes()[usize::from(object.class.0)].extent.radius;
+            let is_seen = walls.sees_disc(eye, place, radius);
+            let drawn_of = drawn.get(&id).copied();
+            // Two rounds where the place was asked for first, and updates after it.
+            let push_max = 2 * round_trip_max + 2 * frame_period;
+            let is_awaited = is_seen && drawn_of.is_none()
+                || drawn_of.is_some_and(|tick| past.is_behind(tick, at, push_max).is_some());
+            if !is_awaited {
+                watcher.awaited.remove(&id);
+            }
+            let awaited = if is_awaited { *watcher.awaited.entry(id).or_insert(at) } else { at };
+            let lost = watcher.lost.entry(id).or_default();
+            // What is awaited for longer may have been lost more often.
+            lost.retain(|&past| awaited.since(past) <= LOSS_WINDOW);
+            let losses = lost.len() as u32;
             // Only who has come lately waits for the control stream, or is waited for.
             let is_new = past.appeared_at.is_some_and(recent) || recent(began);
             let losses = losses + if is_new { lost_control } else { 0 };
             let down_max = watcher.allowance.down_max;
             let for_losses = losses * (watcher.retry_max + frame_period);
-            let place = object.position.metres();
             // Contained.
             if let Some(tbv) = tracker.held(id) {
                 let is_broken =
@@ -225,7 +271,7 @@ impl Truth {
                 if is_broken {
                     self.broken_believed += 1;
                     let since = past.violated_at.unwrap_or(at);
-                    if at > since + down_max + for_losses && losses == 0 {
+                    if at > (since + down_max).max(silent) && losses == 0 {
                         fail(format!("{id}: believes a bound that was broken {} µs ago", at.since(since).as_micros()));
                     }
                 } else if tbv.holds_at(at) {
@@ -240,22 +286,24 @@ impl Truth {
                     {
                         fail(format!("{id}: at {place} is not in the bound that T holds, {inserted:?}"));
                     }
+                } else if watcher.view.bound(id.0).is_some() {
+                    fail(format!("{id}: T holds a bound that expired {:?} ago", at.since(tbv.expires)));
                 }
             }
             // Never late.
-            let radius = frame.world.classes()[usize::from(object.class.0)].extent.radius;
-            if walls.sees_disc(eye, place, radius) {
+            if is_seen {
                 self.visible_checked += 1;
                 let since = *watcher.seen_since.entry(id).or_insert(at);
                 // A broken bound has to be announced first; who has just appeared, even to be asked for twice.
                 let heard = past.violated_at.map_or(WorldTime::MIN, |violated| violated + down_max);
-                let known = past
-                    .appeared_at
-                    .map_or(WorldTime::MIN, |appeared| appeared + down_max + watcher.allowance.round_trip_max());
-                let bound = since.max(heard).max(known) + watcher.allowance.round_trip_max() + for_losses;
-                if !drawn.contains_key(&id) {
+                let known = past.appeared_at.map_or(WorldTime::MIN, |appeared| appeared + down_max + round_trip_max);
+                let unforeseen_by = heard.max(known).max(watcher.leapt).max(began) + round_trip_max;
+                let bound = (since + unforeseen).max(unforeseen_by) + for_losses;
+                let bound = bound.max(silent);
+                if drawn_of.is_none() {
                     self.not_drawn += 1;
-                    if at > bound {
+                    // With a lead it is to be there in the very frame.
+                    if !is_cut_off && (at > bound || watcher.allowance.lead && bound == since) {
                         let late = at.since(since);
                         fail(format!(
                             "{id}: visible for {late:?} and not drawn, {losses} losses, held {:?}, knows {}",
@@ -268,14 +316,11 @@ impl Truth {
                 watcher.seen_since.remove(&id);
             }
             // What is drawn is not older than what a push takes.
-            if let Some(&tick) = drawn.get(&id) {
+            if let Some(tick) = drawn_of {
                 self.states_checked += 1;
-                // Two rounds where the place was asked for first, and updates after it.
-                let allowed = 2 * watcher.allowance.round_trip_max() + 2 * frame_period + for_losses;
-                let due = past.changes.iter().rev().find(|&&(_, committed)| committed + allowed < at);
-                if let Some(&(changed, committed)) = due
-                    && tick < changed
-                    && past.appeared_at.is_none_or(|appeared| appeared + allowed < at)
+                let allowed = push_max + for_losses;
+                if let Some((changed, committed)) = past.is_behind(tick, at, allowed)
+                    && at > silent
                 {
                     let age = at.since(committed);
                     let behind = changed.since(tick);
@@ -283,6 +328,51 @@ impl Truth {
                 }
             }
         }
+    }
+}
+
+impl Past {
+    /// The newest change, by tick and true time, that has been known for `allowed` at `at` and that a state of `tick` does not
+    /// have.
+    fn is_behind(&self, tick: WorldTime, at: WorldTime, allowed: Duration) -> Option<(WorldTime, WorldTime)> {
+        let due = self.changes.iter().rev().find(|&&(_, committed)| committed + allowed < at);
+        due.copied()
+            .filter(|&(changed, _)| tick < changed && self.appeared_at.is_none_or(|appeared| appeared + allowed < at))
+    }
+}
+
+impl Watcher {
+    /// A frame is made from `eye`.
+    fn look(&mut self, eye: DVec3, session: &Session, at: WorldTime) {
+        if let Some((before, then)) = self.eye
+            && let Some(motion) =
+                session.welcome().and_then(|welcome| welcome.classes.first()).map(|class| class.motion)
+            && eye.distance(before) > motion.reach(at.seconds_since(then))
+        {
+            self.leapt = at;
+        }
+        self.eye = Some((eye, at));
+        // What the session knows of the path: the greatest round trip lately, and four variations.
+        let known = session
+            .round_trip()
+            .map_or(Duration::ZERO, |(smoothed, greatest)| greatest + session.retry_after().saturating_sub(smoothed));
+        self.foreseen.push_back((at, known));
+        while self.foreseen.front().is_some_and(|&(then, _)| at.since(then) > FORESIGHT_WINDOW) {
+            self.foreseen.pop_front();
+        }
+    }
+
+    /// By how much a question may take longer than was foreseen: all of it, without a lead.
+    fn unforeseen(&self) -> Duration {
+        let foreseen = self.foreseen.iter().map(|&(_, known)| known).min().filter(|_| self.allowance.lead);
+        self.allowance.round_trip_max().saturating_sub(foreseen.unwrap_or_default())
+    }
+
+    /// Until when nobody can be blamed: the path was dark until lately, or is.
+    fn silent(&self, at: WorldTime) -> WorldTime {
+        let recovery = 2 * self.allowance.round_trip_max() + 2 * self.retry_max + Duration::from_millis(100);
+        let is_dark = self.heard > WorldTime::MIN && at.since(self.heard) > SILENCE_MIN;
+        if is_dark { at } else { self.silent_until + recovery }
     }
 }
 
@@ -315,6 +405,17 @@ impl Observer for Truth {
         // Who joined or left since the tick is known too.
         self.learn(frame.world, frame.at);
         self.check(frame);
+    }
+
+    fn arrives(&mut self, message: &Passing<'_>) {
+        if message.direction == Direction::Down
+            && let Some(watcher) = self.watchers.get_mut(&message.client)
+        {
+            if watcher.heard > WorldTime::MIN && message.at.since(watcher.heard) > SILENCE_MIN {
+                watcher.silent_until = message.at;
+            }
+            watcher.heard = message.at;
+        }
     }
 
     fn lost(&mut self, message: &Passing<'_>) {

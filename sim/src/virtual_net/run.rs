@@ -29,7 +29,7 @@ pub struct Passing<'a> {
 }
 
 /// What an interceptor decides about a datagram.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// The link's rules decide.
     AsRuled,
@@ -37,6 +37,8 @@ pub enum Verdict {
     Instead(Fate),
     /// It arrives twice, after these times.
     Twice(Duration, Duration),
+    /// It says this instead, and the link's rules decide about that: for ends that lie.
+    Rewrite(Vec<u8>),
 }
 
 /// A client's frame, after its session took it.
@@ -378,10 +380,14 @@ impl VirtualRun {
         }
         let passing = Passing { client, direction, kind, bytes: &bytes, at: self.now };
         let verdict = self.interceptor.as_mut().map_or(Verdict::AsRuled, |interceptor| interceptor(&passing));
+        let (verdict, bytes) = match verdict {
+            Verdict::Rewrite(bytes) => (Verdict::AsRuled, bytes),
+            verdict => (verdict, bytes),
+        };
         // Drawn whatever the verdict, so that an interception changes nothing else.
         let ruled = self.link(client, direction).datagram();
         let (first, second) = match verdict {
-            Verdict::AsRuled => ruled,
+            Verdict::AsRuled | Verdict::Rewrite(_) => ruled,
             Verdict::Instead(fate) => (fate, None),
             Verdict::Twice(first, second) => (Fate::Deliver(first), Some(Fate::Deliver(second))),
         };

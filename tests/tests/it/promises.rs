@@ -232,7 +232,7 @@ fn missed_ticks_keep_containment() {
         let mut town = Town::new(rules);
         town.run_for(ms(4_000));
         assert!(town.run.world().stats().ticks_missed > 5);
-        let broken: Vec<&String> = town.truth.failures.iter().filter(|text| is_containment(text)).collect();
+        let broken: Vec<&String> = town.truth.failures.texts.iter().filter(|text| is_containment(text)).collect();
         assert!(broken.is_empty(), "seed {seed}: {broken:?}");
     }
 }
@@ -258,7 +258,7 @@ fn a_frozen_clock_breaks_containment_so_the_checker_can_fail() {
         ..TownRules::seeded(0)
     });
     town.run_for(ms(4_000));
-    assert!(town.truth.failures.iter().any(|text| is_containment(text)), "{:?}", town.truth.failures);
+    assert!(town.truth.failures.texts.iter().any(|text| is_containment(text)), "{:?}", town.truth.failures.texts);
 }
 
 #[test]
@@ -270,7 +270,7 @@ fn dropped_exposures_make_objects_late_so_the_checker_can_fail() {
     pair.spawn_hidden();
     pair.stand_at(DVec3::new(12.0, 0.0, -10.0));
     pair.run_for(ms(1_000));
-    assert!(pair.truth.failures.iter().any(|text| text.contains("not drawn")));
+    assert!(pair.truth.failures.texts.iter().any(|text| text.contains("not drawn")));
 }
 
 fn is_containment(text: &str) -> bool {

@@ -2,20 +2,9 @@
 
 use std::time::Duration;
 
-use eyeline_sim::soak::{Town, TownRules};
+use eyeline_sim::soak::{SoakConfig, TownRules, live, soak};
 
-/// Five seconds and more of a town, with a client that leaves and two that come late.
-fn live(rules: TownRules) -> Town {
-    let mut town = Town::new(rules);
-    town.run_for(Duration::from_millis(2_400));
-    town.leave(1);
-    town.run_for(Duration::from_millis(300));
-    town.join();
-    town.run_for(Duration::from_millis(800));
-    town.join();
-    town.run_for(Duration::from_millis(1_700));
-    town
-}
+const SPAN: Duration = Duration::from_secs(5);
 
 #[test]
 fn three_hundred_towns_keep_every_promise() {
@@ -25,37 +14,28 @@ fn three_hundred_towns_keep_every_promise() {
         Some((first.parse().ok()?, count.parse().ok()?))
     });
     let (first, count) = range.unwrap_or((0u64, 300u64));
-    let mut bad = Vec::new();
-    let (mut bounds, mut visible, mut states, mut broken) = (0, 0, 0, 0);
-    for seed in first..first + count {
-        let town = live(TownRules::seeded(seed));
-        if town.truth.failed > 0 {
-            bad.push(format!(
-                "seed {seed} ({:?}): {}\n{}",
-                TownRules::seeded(seed),
-                town.truth.failed,
-                town.truth.failures.join("\n")
-            ));
-        }
-        bounds += town.truth.bounds_checked;
-        visible += town.truth.visible_checked;
-        states += town.truth.states_checked;
-        broken += town.truth.broken_believed;
-    }
-    eprintln!("{count} seeds: {bounds} bounds, {visible} visible, {states} states, {broken} broken bounds believed");
+    let summary = soak(&SoakConfig::default().with_seeds(first, count), |_| ());
+    eprintln!("{:?}, least room {:?}", summary.counts, summary.least_share);
+    let told: Vec<String> = summary
+        .bad
+        .iter()
+        .take(6)
+        .map(|bad| {
+            format!("seed {} ({:?}): {}\n{}", bad.seed, bad.rules, bad.failures.count, bad.failures.texts.join("\n"))
+        })
+        .collect();
+    assert!(told.is_empty(), "{} of {count} seeds fail, first:\n{}", summary.bad.len(), told.join("\n"));
+    let counts = summary.counts;
     assert!(
-        bad.is_empty(),
-        "{} of {count} seeds fail, first:\n{}",
-        bad.len(),
-        bad.iter().take(6).cloned().collect::<Vec<_>>().join("\n")
+        counts.bounds > 1_000 * count && counts.visible > 500 * count && counts.states > 500 * count,
+        "the truth is not empty: {counts:?}"
     );
-    assert!(bounds > 1_000 * count && visible > 500 * count && states > 500 * count, "the truth is not empty");
 }
 
 #[test]
 fn the_same_seed_gives_the_same_messages_at_the_same_microsecond() {
     for seed in [2, 7, 11] {
-        let [first, second] = [live(TownRules::seeded(seed)), live(TownRules::seeded(seed))];
+        let [first, second] = [live(TownRules::seeded(seed), SPAN), live(TownRules::seeded(seed), SPAN)];
         assert!(first.run.messages() > 1_000);
         assert_eq!(
             (first.run.messages(), first.run.digest()),
@@ -63,6 +43,6 @@ fn the_same_seed_gives_the_same_messages_at_the_same_microsecond() {
             "seed {seed}"
         );
     }
-    let other = live(TownRules { seed: 3, ..TownRules::seeded(2) });
-    assert_ne!(live(TownRules::seeded(2)).run.digest(), other.run.digest());
+    let other = live(TownRules { seed: 3, ..TownRules::seeded(2) }, SPAN);
+    assert_ne!(live(TownRules::seeded(2), SPAN).run.digest(), other.run.digest());
 }

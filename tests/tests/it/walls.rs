@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use eyeline_sim::soak::{Wall, Walls, WallsFrom};
-use eyeline_visibility::{Aabb, Bound, Occlusion};
+use eyeline_visibility::{Aabb, Bound, EyeRegion, Occlusion};
 use glam::DVec3;
 use proptest::prelude::*;
 
@@ -26,7 +26,7 @@ proptest! {
         let eye = DVec3::new(eye[0], 1.6, eye[1]);
         let centre = DVec3::new(centre[0], 0.0, centre[1]);
         let aabb = Aabb::new(centre - DVec3::new(radius, 0.0, radius), centre + DVec3::new(radius, 1.0, radius));
-        if WallsFrom::new(walls.clone(), eye).hides(&Bound::Box(aabb)) {
+        if WallsFrom::new(walls.clone(), EyeRegion::point(eye)).hides(&Bound::Box(aabb)) {
             prop_assert!(!walls.sees_disc(eye, centre, radius));
         }
     }
@@ -35,7 +35,7 @@ proptest! {
 #[test]
 fn a_wall_hides_what_is_behind_it_and_nothing_else() {
     let walls = Arc::new(Walls { walls: vec![Wall::new(-5.0, -5.1, 5.0, -4.9)] });
-    let occlusion = WallsFrom::new(walls.clone(), DVec3::Y);
+    let occlusion = WallsFrom::new(walls.clone(), EyeRegion::point(DVec3::Y));
     let hides = |x: f64, z: f64| {
         let centre = DVec3::new(x, 0.0, z);
         occlusion.hides(&Bound::Box(Aabb::around(centre, DVec3::splat(0.3))))
