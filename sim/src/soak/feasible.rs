@@ -58,7 +58,10 @@ pub struct Feasible {
 impl Feasible {
     /// Something more was told.
     pub fn add(&mut self, disc: Disc) {
-        self.discs.push(disc);
+        // The same again, as of something that stands still or follows a path.
+        if !self.discs.contains(&disc) {
+            self.discs.push(disc);
+        }
     }
 
     /// What was true before `time` says nothing any more: the object broke its bound then.
@@ -74,6 +77,9 @@ impl Feasible {
     /// Radius of the least circle around the set at `time`, metres, never too great; infinite if nothing was told, and 0 for
     /// an empty set, which only lies make. Forgets what has come to say nothing.
     pub fn enclosing_radius(&mut self, time: WorldTime, motion: MotionBound) -> f64 {
+        if let [disc] = self.discs[..] {
+            return disc.radius_at(time, motion);
+        }
         let mut kept: Vec<(Disc, f64)> = Vec::with_capacity(self.discs.len());
         for &disc in &self.discs {
             let radius = disc.radius_at(time, motion);

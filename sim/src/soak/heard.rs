@@ -93,6 +93,8 @@ pub struct Heard {
     share: f64,
     beings: Vec<Being>,
     clients: BTreeMap<usize, Client>,
+    /// What has arrived and was not read: to whom, which way, how, what and when.
+    unread: Vec<(usize, Direction, Kind, Vec<u8>, WorldTime)>,
     /// How much later than its tick a state was committed at most.
     lateness: Duration,
     tick: Duration,
@@ -128,6 +130,7 @@ impl Heard {
             share,
             beings: Vec::new(),
             clients: BTreeMap::new(),
+            unread: Vec::new(),
             lateness: Duration::ZERO,
             tick: Duration::ZERO,
             failures: Failures::default(),
@@ -183,6 +186,21 @@ impl Heard {
                 }
             }
         }
+    }
+
+    /// Reads what has arrived since the world was looked at last: only now is it known who has come since.
+    fn read(&mut self) {
+        let mut unread = std::mem::take(&mut self.unread);
+        for (client, direction, kind, bytes, at) in unread.drain(..) {
+            let message = &Passing { client, direction, kind, bytes: &bytes, at };
+            match (direction, kind) {
+                (Direction::Up, Kind::Datagram) => self.hear_up(message),
+                (Direction::Down, Kind::Datagram) => self.hear_datagram(message),
+                (Direction::Down, Kind::Control) => self.hear_control(message),
+                (Direction::Up, Kind::Control) => {}
+            }
+        }
+        self.unread = unread;
     }
 
     fn hear_up(&mut self, message: &Passing<'_>) {
@@ -364,10 +382,12 @@ impl Observer for Heard {
     fn committed(&mut self, world: &World, at: WorldTime) {
         self.lateness = self.lateness.max(at.since(world.committed_at()));
         self.learn(world);
+        self.read();
     }
 
     fn framed(&mut self, frame: &Framed<'_>) {
         self.learn(frame.world);
+        self.read();
         let Some(client) = self.clients.get_mut(&frame.client) else { return };
         if let Some(eye) = frame.eye {
             client.eyes.push_back((eye, frame.session.ahead().eye_radius));
@@ -385,14 +405,8 @@ impl Observer for Heard {
     }
 
     fn arrives(&mut self, message: &Passing<'_>) {
-        if !self.clients.contains_key(&message.client) {
-            return;
-        }
-        match (message.direction, message.kind) {
-            (Direction::Up, Kind::Datagram) => self.hear_up(message),
-            (Direction::Down, Kind::Datagram) => self.hear_datagram(message),
-            (Direction::Down, Kind::Control) => self.hear_control(message),
-            (Direction::Up, Kind::Control) => {}
+        if self.clients.contains_key(&message.client) {
+            self.unread.push((message.client, message.direction, message.kind, message.bytes.to_vec(), message.at));
         }
     }
 }

@@ -9,6 +9,7 @@ mod failures;
 mod feasible;
 mod heard;
 mod index;
+pub mod long;
 mod mutant;
 mod run;
 mod sight;

@@ -154,7 +154,11 @@ pub fn live(rules: TownRules, span: Duration) -> Town {
 /// One seed.
 pub fn run_seed(seed: u64, config: &SoakConfig) -> Outcome {
     let rules = TownRules { mutant: config.mutant, ..TownRules::seeded(seed) };
-    let town = live(rules.clone(), config.span);
+    outcome_of(seed, &live(rules, config.span))
+}
+
+/// What came of a town so far.
+pub(super) fn outcome_of(seed: u64, town: &Town) -> Outcome {
     let failures = town.failures();
     let (truth, heard) = (&town.truth, &town.heard.counts);
     let counts = SoakCounts {
@@ -171,7 +175,7 @@ pub fn run_seed(seed: u64, config: &SoakConfig) -> Outcome {
         poses: heard.poses,
         over_disclosed: heard.over_disclosed,
     };
-    Outcome { seed, rules, failures, counts, least_share: town.heard.least_share }
+    Outcome { seed, rules: town.rules().clone(), failures, counts, least_share: town.heard.least_share }
 }
 
 /// All seeds, on `jobs` threads; `done` hears of each as it ends, in no order.

@@ -6,6 +6,7 @@ mod place;
 mod replay;
 mod scene;
 mod serve;
+mod soak;
 mod swarm;
 mod track;
 
@@ -39,6 +40,9 @@ pub enum Verb {
     /// Fill a server with people who really walked: a recorded crowd behind one connection
     #[command(after_long_help = replay::EXAMPLES)]
     Replay(replay::Replay),
+    /// Keep every promise in thousands of towns made from seeds, in virtual time; or catch mutants that do not
+    #[command(after_long_help = soak::EXAMPLES)]
+    Soak(soak::Soak),
 }
 
 /// Runs a verb.
@@ -51,6 +55,7 @@ pub fn run(verb: &Verb) -> anyhow::Result<()> {
         Verb::Serve(options) => serve::run(options),
         Verb::Swarm(options) => swarm::run(options),
         Verb::Replay(options) => replay::run(options),
+        Verb::Soak(options) => soak::run(options),
     }
 }
 
