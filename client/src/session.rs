@@ -49,6 +49,11 @@ impl SessionConfig {
         SessionConfig { resolution: (width, height), ..self }
     }
 
+    /// Sets which directions to hear of.
+    pub fn with_interest(self, interest: Interest) -> SessionConfig {
+        SessionConfig { interest, ..self }
+    }
+
     /// Sets who to be.
     pub fn with_role(self, role: Role) -> SessionConfig {
         SessionConfig { role, ..self }
@@ -69,6 +74,9 @@ impl SessionConfig {
         SessionConfig { tracker, ..self }
     }
 }
+
+/// How fast a head turns at most, radians a second.
+const TURN_MAX: f64 = 2.0 * std::f64::consts::PI;
 
 /// What an application may want to know.
 #[derive(Clone, Debug, PartialEq)]
@@ -318,7 +326,11 @@ impl Session {
         // The greatest lately is not the greatest there may be; how far round trips stray is (RFC 6298's four variations).
         let round_trip = self.link.round_trip().zip(self.link.round_trip_max());
         let round_trip = round_trip.map(|(usual, greatest)| greatest + 4 * usual.variation);
-        tracker.lead.ahead(round_trip, tracker.frame, avatar.motion)
+        let mut ahead = tracker.lead.ahead(round_trip, tracker.frame, avatar.motion);
+        if self.config.interest == Interest::Frustum {
+            ahead.turn = Some(TURN_MAX * ahead.time.as_secs_f64());
+        }
+        if tracker.sabotage == Some(Sabotage::PointLead) { Ahead { eye_radius: 0.0, ..ahead } } else { ahead }
     }
 
     /// One frame: decides what is asked, given what hides things from every eye that `ahead` tells of. `None` until the

@@ -7,10 +7,10 @@
 use std::path::Path;
 use std::time::{Instant, SystemTime};
 
-use crate::measure::{self, MeasureConfig, Net, report};
+use crate::measure::{self, MeasureConfig, Net, SweepKey, report};
 use crate::report::{Run, rfc3339, table};
 use crate::scene::plan::RoomsRules;
-use crate::stage::{POLICIES, Stage};
+use crate::stage::{Crowd, POLICIES, Stage};
 
 /// Runs the demo and writes its report into `out`; returns what to print.
 ///
@@ -20,32 +20,64 @@ pub fn run(out: &Path) -> anyhow::Result<String> {
     let config = MeasureConfig::default();
     let rules = RoomsRules { columns: 10, rows: 10, seed: config.seed, ..RoomsRules::default() };
     let stage = Stage::made(&rules)?;
-    measure_all(&stage, None, &config, &Net::Quic, &POLICIES, out, "Eyeline demo")
+    let case = Case { stage, crowd: None, config, net: Net::Quic };
+    measure_all(&case, &POLICIES, out, "Eyeline demo")
+}
+
+/// One setting of a measurement, ready to be run.
+pub struct Case {
+    /// The world.
+    pub stage: Stage,
+    /// A recorded crowd besides.
+    pub crowd: Option<Crowd>,
+    /// The settings.
+    pub config: MeasureConfig,
+    /// How the parts are connected.
+    pub net: Net,
 }
 
 /// Measures each policy in turn and writes one report; returns the table, the headline and where the report is.
 ///
 /// # Errors
 /// If the network or the disk does not let it.
-pub fn measure_all(
-    stage: &Stage,
-    crowd: Option<&crate::stage::Crowd>,
-    config: &MeasureConfig,
-    net: &Net,
+pub fn measure_all(case: &Case, policies: &[&str], out: &Path, title: &str) -> anyhow::Result<String> {
+    measure_sweep(policies, None, &[String::new()], |_| Ok(None), case, out, title)
+}
+
+/// The same for each value of a sweep. `case_of` makes the case of a value; `None` stands for `first`.
+///
+/// # Errors
+/// If the network or the disk does not let it.
+pub fn measure_sweep(
     policies: &[&str],
+    key: Option<SweepKey>,
+    values: &[String],
+    mut case_of: impl FnMut(&str) -> anyhow::Result<Option<Case>>,
+    first: &Case,
     out: &Path,
     title: &str,
 ) -> anyhow::Result<String> {
     let (began, started) = (Instant::now(), rfc3339(SystemTime::now()));
     let mut rows = Vec::new();
-    for policy in policies {
-        rows.push(measure::measure(stage, crowd, config, net, policy)?);
+    for value in values {
+        let own = case_of(value)?;
+        let case = own.as_ref().unwrap_or(first);
+        for policy in policies {
+            rows.push(measure::measure(&case.stage, case.crowd.as_ref(), &case.config, &case.net, policy)?);
+        }
     }
-    let mut run = Run::here(title, Some(config.seed), started);
+    let mut run = Run::here(title, Some(first.config.seed), started);
     run.wall_seconds = began.elapsed().as_secs_f64();
-    let report = report::report(run, stage, &rows, config)?;
+    let report = report::report(run, &first.stage, &rows, &first.config, key)?;
     let written = report.write(out)?;
-    let columns: Vec<_> =
-        measure::columns().into_iter().filter(|column| report::SHORT.contains(&column.key.as_str())).collect();
+    let columns: Vec<_> = measure::columns()
+        .into_iter()
+        .filter(|column| {
+            report::SHORT.contains(&column.key.as_str()) || key.is_some() && SWEPT.contains(&column.key.as_str())
+        })
+        .collect();
     Ok(format!("{}\n{}\nreport: {}\n", table(report.rows(), &columns), report.headline, written.html.display()))
 }
+
+/// Columns of the table on the terminal that only a sweep needs.
+const SWEPT: [&str; 6] = ["clients", "avatars", "hidden_mean", "rtt_ms", "loss", "lead_ms"];

@@ -1,13 +1,14 @@
 //! The people in front of headless clients: they walk, stand and look, or walk as somebody once did.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use eyeline_client::net::{Driver, FrameReport, Pose};
 use eyeline_client::session::Session;
 use eyeline_client::tracking::Ahead;
 use eyeline_protocol::{LocalTime, ObjectId, Orientation, Position};
 use eyeline_server::spec::AvatarSpec;
-use eyeline_visibility::{AllRound, AllRoundScratch, EyeRegion, Occlusion};
+use eyeline_visibility::{AllRound, AllRoundScratch, Bound, EyeRegion, Occlusion, Wedge};
 use glam::DVec3;
 
 use crate::motion::WalkerPose;
@@ -68,6 +69,9 @@ pub struct Ground {
     pub all_round: Arc<AllRound>,
 }
 
+/// Horizontal angle of everybody's view, radians.
+pub const FOV: f64 = std::f64::consts::FRAC_PI_2;
+
 /// Called after each frame with the session, the report, and the pose that the frame was seen from.
 pub type FrameHook = Box<dyn FnMut(&mut Session, &FrameReport, &WalkerPose) + Send>;
 
@@ -83,8 +87,11 @@ pub struct Person {
     last: Option<LocalTime>,
     pose: WalkerPose,
     all_round: Arc<AllRound>,
-    scratch: AllRoundScratch,
+    /// One for the region, or one for each of its sampled eyes.
+    scratches: Vec<AllRoundScratch>,
     has_culled: bool,
+    /// Where anybody looks, if not all round.
+    wedge: Option<Wedge>,
     hook: Option<FrameHook>,
 }
 
@@ -107,10 +114,17 @@ impl Person {
             last: None,
             pose: WalkerPose { feet: DVec3::ZERO, yaw: 0.0, eye: DVec3::ZERO },
             all_round: ground.all_round.clone(),
-            scratch: ground.all_round.scratch(side),
+            scratches: vec![ground.all_round.scratch(side)],
             has_culled: false,
+            wedge: None,
             hook,
         }
+    }
+
+    /// Looks from nine eyes of the lead's region instead of the whole: a heuristic that misses some of it.
+    pub fn with_sampled_lead(mut self, side: u32) -> Person {
+        self.scratches.resize_with(9, || self.all_round.scratch(side));
+        self
     }
 
     /// Moves on to `now` and says where the avatar is.
@@ -136,19 +150,37 @@ impl Person {
     }
 }
 
+impl Occlusion for Person {
+    fn hides(&self, bound: &Bound) -> bool {
+        self.wedge.is_some_and(|wedge| wedge.excludes(bound))
+            || self.scratches.iter().all(|scratch| scratch.occlusion().hides(bound))
+    }
+}
+
 impl Driver for Person {
     fn poses(&mut self, session: &Session, now: LocalTime) -> Vec<Pose> {
         self.advance(session, now).into_iter().collect()
     }
 
     fn cull(&mut self, ahead: Ahead) {
-        let region = EyeRegion { centre: self.pose.eye - self.anchor, radius: ahead.eye_radius };
-        // Only an eye or radius that is no number is refused.
-        self.has_culled = self.all_round.cull(region, &mut self.scratch).is_ok();
+        let centre = self.pose.eye - self.anchor;
+        let count = self.scratches.len();
+        for (i, scratch) in self.scratches.iter_mut().enumerate() {
+            let turn = std::f64::consts::TAU * i as f64 / (count - 1).max(1) as f64;
+            let region = match (count, i) {
+                (1, _) => EyeRegion { centre, radius: ahead.eye_radius },
+                (_, 0) => EyeRegion::point(centre),
+                _ => EyeRegion::point(centre + DVec3::new(turn.cos(), 0.0, turn.sin()) * ahead.eye_radius),
+            };
+            // Only an eye or radius that is no number is refused.
+            self.has_culled = self.all_round.cull(region, scratch).is_ok();
+        }
+        let region = EyeRegion { centre, radius: ahead.eye_radius };
+        self.wedge = ahead.turn.map(|turn| Wedge::new(region, self.pose.yaw, 0.5 * FOV + turn));
     }
 
     fn occlusion(&self) -> Option<&dyn Occlusion> {
-        self.has_culled.then(|| self.scratch.occlusion() as &dyn Occlusion)
+        self.has_culled.then_some(self as &dyn Occlusion)
     }
 
     fn frame_done(&mut self, session: &mut Session, report: &FrameReport) {
@@ -170,13 +202,16 @@ pub struct Replay {
     /// Places to announce: (slot, where, whether present).
     pub moves: u64,
     placing: Vec<(ObjectId, Position, bool)>,
+    /// Of each slot, where the recording had them last and where they got to, relative to the anchor.
+    feet: Vec<(DVec3, DVec3)>,
 }
 
 impl Replay {
     /// A crowd from `start_s` seconds into its trace; it begins again when the trace ends.
     pub fn new(crowd: Crowd, anchor: DVec3, start_s: f64) -> Replay {
         let slots = vec![None; crowd.trace.people_at_once()];
-        Replay { crowd, anchor, began: None, start_s, slots, moves: 0, placing: Vec::new() }
+        let feet = vec![(DVec3::ZERO, DVec3::ZERO); slots.len()];
+        Replay { crowd, anchor, began: None, start_s, slots, moves: 0, placing: Vec::new(), feet }
     }
 
     /// How many avatars it drives.
@@ -202,10 +237,21 @@ impl Replay {
         let mut poses = Vec::new();
         for (slot, &object) in avatars.iter().enumerate().take(self.slots.len()) {
             let person = wanted.get(slot).copied().flatten().map(|person| (lap, person));
-            let place = person.and_then(|(_, person)| {
-                let at = self.crowd.trace.position_at(person, time_s)?;
-                let facing = self.crowd.trace.facing_at(person, time_s).unwrap_or(0.0);
-                let feet = self.crowd.placement.feet(at) - self.anchor;
+            let place = person.and_then(|(lap, number)| {
+                let at = self.crowd.trace.position_at(number, time_s)?;
+                let facing = self.crowd.trace.facing_at(number, time_s).unwrap_or(0.0);
+                let recorded = self.crowd.placement.feet(at) - self.anchor;
+                let feet = match (&self.crowd.obstacles, self.slots[slot] == Some((lap, number))) {
+                    (Some(obstacles), true) => {
+                        let (before, feet) = self.feet[slot];
+                        let (feet, slid) = obstacles.step(feet, recorded - before);
+                        self.crowd.slid.fetch_add(u64::from(slid), Ordering::Relaxed);
+                        feet
+                    }
+                    // Who has just come, or nothing to slide along.
+                    _ => recorded,
+                };
+                self.feet[slot] = (recorded, feet);
                 Some((Position::from_metres(feet).ok()?, self.crowd.placement.yaw(facing)))
             });
             match (place, self.slots[slot] == person) {
@@ -300,12 +346,18 @@ impl Extras {
     /// The crowd, if there is one, and `residents` people besides, numbered from `first`: one connection each for as many as
     /// it may drive.
     pub fn all(stage: &Stage, crowd: Option<&Crowd>, residents: usize, seed: u64, first: usize) -> Vec<Extras> {
-        let replay = crowd.map(|crowd| Extras::Replay(Replay::new(crowd.clone(), stage.anchor(), 0.0)));
+        let replays = crowd.into_iter().flat_map(|crowd| {
+            let copies = std::iter::once((crowd.placement, 0.0)).chain(crowd.copies.iter().copied());
+            copies.map(|(placement, start_s)| {
+                let crowd = Crowd { placement, ..crowd.clone() };
+                Extras::Replay(Replay::new(crowd, stage.anchor(), start_s))
+            })
+        });
         let of_one = |from: usize| {
             let count = (residents - from).min(RESIDENTS_MAX) as u16;
             Extras::Residents(Residents::new(stage.ground(), seed, first + from, count))
         };
-        replay.into_iter().chain((0..residents).step_by(RESIDENTS_MAX).map(of_one)).collect()
+        replays.chain((0..residents).step_by(RESIDENTS_MAX).map(of_one)).collect()
     }
 
     /// How many avatars it drives.

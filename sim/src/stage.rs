@@ -3,6 +3,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 
 use anyhow::Context;
 use eyeline_protocol::{Class, WorldTime};
@@ -17,7 +18,7 @@ use crate::people::Ground;
 use crate::places;
 use crate::scene::plan::{RoomPlan, RoomsRules};
 use crate::scene::rooms;
-use crate::trace::{Placement, Trace};
+use crate::trace::{Obstacles, Placement, Trace};
 
 /// A world ready to be run.
 #[derive(Clone)]
@@ -39,6 +40,19 @@ pub struct Crowd {
     pub trace: Arc<Trace>,
     /// Where that is in the world.
     pub placement: Placement,
+    /// The same people again, elsewhere and shifted in time by so many seconds.
+    pub copies: Vec<(Placement, f64)>,
+    /// What they slide along, if the world's triangles are at hand.
+    pub obstacles: Option<Arc<Obstacles>>,
+    /// Steps that led into a wall, counted.
+    pub slid: Arc<AtomicU64>,
+}
+
+impl Crowd {
+    /// The people of a recording, once, with nothing in their way.
+    pub fn new(trace: Arc<Trace>, placement: Placement) -> Crowd {
+        Crowd { trace, placement, copies: Vec::new(), obstacles: None, slid: Arc::default() }
+    }
 }
 
 /// The interest policies that can be run.
@@ -70,14 +84,20 @@ impl Stage {
         Stage { model, plan, all_round, notes }
     }
 
-    /// Places a recorded crowd, and raises the avatars' speed bound to what its people did.
+    /// Places a recorded crowd, `copies` times in all where there are so many places, and raises the avatars' speed bound to what its people did.
     ///
     /// # Errors
     /// If the world has no place to put it.
-    pub fn with_crowd(mut self, trace: Trace, placement: Option<Placement>) -> anyhow::Result<(Stage, Crowd)> {
+    pub fn with_crowd(
+        mut self,
+        trace: Trace,
+        placement: Option<Placement>,
+        copies: usize,
+    ) -> anyhow::Result<(Stage, Crowd)> {
         let places: Vec<DVec3> = self.model.spec.spawns.iter().map(|spawn| DVec3::from_array(spawn.position)).collect();
+        let spread = Placement::spread(&trace, &places, copies.max(1));
         let placement = placement
-            .or_else(|| Placement::fit(&trace, &places))
+            .or_else(|| spread.first().copied())
             .context("the world has no place to put the trace; name one with --trace-origin X,Y,Z")?;
         // A little above, since samples are rounded and the wire's grid adds its step.
         let needed = placement.speed_max(&trace) * 1.05 + 0.05;
@@ -86,7 +106,16 @@ impl Stage {
             self.notes.push(format!("avatars may reach {needed:.2} m/s, since people in the trace did"));
             avatar.speed_max = needed;
         }
-        Ok((self, Crowd { trace: Arc::new(trace), placement }))
+        if spread.len() < copies {
+            self.notes.push(format!("{} copies of the trace instead of {copies}: no more places", spread.len()));
+        }
+        // Shifted evenly over the recording, so that no two copies do the same at once.
+        let shift = |i: usize| trace.span_s() * i as f64 / spread.len().max(1) as f64;
+        let copies = spread.iter().enumerate().skip(1).map(|(i, placement)| (*placement, shift(i))).collect();
+        let avatar = self.model.spec.avatar;
+        let obstacles = Obstacles::new(self.model.scene.clone(), avatar.radius, avatar.height);
+        let obstacles = Some(Arc::new(obstacles));
+        Ok((self, Crowd { copies, obstacles, ..Crowd::new(Arc::new(trace), placement) }))
     }
 
     /// The world's anchor in the model's space, metres.

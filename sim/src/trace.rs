@@ -10,6 +10,7 @@
 
 pub mod place;
 pub mod read;
+mod slide;
 
 use std::f64::consts::{PI, TAU};
 
@@ -17,6 +18,7 @@ use glam::DVec2;
 
 pub use place::Placement;
 pub use read::{Format, TraceError};
+pub use slide::Obstacles;
 
 /// Longest time without a sample before a person counts as gone, in seconds.
 pub const GAP_MAX_S: f64 = 2.0;

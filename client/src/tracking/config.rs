@@ -22,6 +22,10 @@ pub enum Sabotage {
     LateOneTick,
     /// The clock that bounds grow by stands still.
     FreezeClock,
+    /// Bounds are grown for the lead, but looked at from the eye's own point.
+    PointLead,
+    /// Bounds are grown for the lead, and looked at from nine points of the region instead of the whole: a heuristic.
+    SampledLead,
     /// A question is asked once, heard or not.
     NeverRepeat,
     /// A bound from before a violation is believed.
@@ -38,12 +42,14 @@ impl std::str::FromStr for Sabotage {
             "drop-exposures" => Ok(Sabotage::DropExposures),
             "late-one-tick" => Ok(Sabotage::LateOneTick),
             "freeze-clock" => Ok(Sabotage::FreezeClock),
+            "point-lead" => Ok(Sabotage::PointLead),
+            "sampled-lead" => Ok(Sabotage::SampledLead),
             "never-repeat" => Ok(Sabotage::NeverRepeat),
             "accept-stale-issue" => Ok(Sabotage::AcceptStaleIssue),
             "ignore-expiry" => Ok(Sabotage::IgnoreExpiry),
             other => Err(format!(
-                "'{other}' is not drop-exposures, late-one-tick, freeze-clock, never-repeat, accept-stale-issue or \
-                 ignore-expiry"
+                "'{other}' is not drop-exposures, late-one-tick, freeze-clock, point-lead, sampled-lead, never-repeat, \
+                 accept-stale-issue or ignore-expiry"
             )),
         }
     }

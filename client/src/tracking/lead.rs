@@ -58,6 +58,8 @@ pub struct Ahead {
     pub time: Duration,
     /// How far the eye can get in that time, metres: the radius of its region.
     pub eye_radius: f64,
+    /// How far the head can turn in that time, radians, if only what lies before it counts; `None` looks all round.
+    pub turn: Option<f64>,
 }
 
 impl Lead {
@@ -70,7 +72,7 @@ impl Lead {
         };
         let time = time.min(LEAD_MAX);
         // The slack is for how late poses are told. Where it is itself, a client knows.
-        Ahead { time, eye_radius: motion.speed_max * time.as_secs_f64() }
+        Ahead { time, eye_radius: motion.speed_max * time.as_secs_f64(), turn: None }
     }
 }
 

@@ -10,6 +10,7 @@
 
 mod config;
 mod expiry;
+mod explain;
 mod fuzzy;
 mod lead;
 mod scene_tracker;
@@ -20,6 +21,7 @@ mod validity;
 
 pub use config::{Growth, Sabotage, TrackerConfig};
 pub use expiry::ExpiryQueue;
+pub use explain::{BeliefKind, Decision, Explanation};
 pub use fuzzy::{FuzzyError, FuzzySpeeds, broken};
 pub use lead::{Ahead, LEAD_MAX, Lead};
 pub use scene_tracker::{Agents, FrameInput, FrameStats, Image, SceneTracker, Variant};

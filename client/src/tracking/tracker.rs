@@ -9,7 +9,7 @@ use eyeline_protocol::{
 use eyeline_visibility::{Bound, DynamicIndex, Occlusion};
 use glam::DVec3;
 
-use super::{Ahead, ExpiryQueue, Growth, Sabotage, TrackerConfig, TrackerStats};
+use super::{Ahead, BeliefKind, Decision, ExpiryQueue, Explanation, Growth, Sabotage, TrackerConfig, TrackerStats};
 
 /// Something that the client shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -82,6 +82,8 @@ struct Entry {
     releasing: bool,
     /// After which frame its bound was made fresh last.
     freshened_in: Option<u64>,
+    /// What was decided last, and when.
+    decision: (Decision, WorldTime),
 }
 
 /// What was heard last of an object's breaking its bounds.
@@ -236,6 +238,7 @@ impl Tracker {
             released_at: None,
             releasing: false,
             freshened_in: None,
+            decision: (Decision::Named, self.latest),
         };
         self.entries.insert(entry.object, fresh);
         if early.is_some() {
@@ -341,6 +344,7 @@ impl Tracker {
             entry.hidden_frames = 0;
             entry.released_at = None;
             entry.releasing = false;
+            entry.decision = (Decision::Revealed, self.latest);
             self.stats.revealed += 1;
             self.leave_t_and_q(object);
             self.visible.insert(object);
@@ -426,6 +430,7 @@ impl Tracker {
         entry.valid_from = at;
         if !present {
             entry.belief = Belief::Absent;
+            entry.decision = (Decision::Left, self.latest);
             entry.ask = None;
             entry.releasing = false;
             entry.state = None;
@@ -576,6 +581,7 @@ impl Tracker {
             entry.ask = None;
             self.asked.remove(&object);
             entry.released_at = Some(now);
+            entry.decision = (Decision::Released, self.latest);
             entry.releasing = local.is_none();
             self.out.push_back(ClientRecord::Release { object, want_bound: local.is_none() });
             if let Some(local) = local {
@@ -681,6 +687,7 @@ impl Tracker {
             let grown = bound_at(end);
             if hidden(grown) {
                 entry.stage_frames = frames;
+                entry.decision = (Decision::Hidden { frames }, self.latest);
                 self.stats.work += tested;
                 return self.keep(object, grown, end);
             }
@@ -691,6 +698,7 @@ impl Tracker {
         }
         // Hidden now, but perhaps not by the next frame: look again then.
         entry.stage_frames = 1;
+        entry.decision = (Decision::HiddenForNow, self.latest);
         self.stats.work += tested;
         let bound_now = bound_at(horizon);
         self.keep(object, bound_now, horizon.offset_micros(1));
@@ -738,6 +746,7 @@ impl Tracker {
         let late = self.config.sabotage == Some(Sabotage::LateOneTick);
         if let Some(entry) = self.entries.get_mut(&object) {
             let not_before = late.then_some(self.stats.frames + 1);
+            entry.decision = (Decision::Asked { want, reason }, self.latest);
             self.asks += 1;
             let is_unsaid = !late;
             let since = self.stats.frames;
@@ -846,6 +855,29 @@ impl Tracker {
             Belief::Hidden(tbv) => Some(tbv),
             Belief::Unknown | Belief::Visible | Belief::Absent => None,
         }
+    }
+
+    /// Why an object is shown, or not; `None` if nobody has named it.
+    pub fn explain(&self, object: ObjectId) -> Option<Explanation> {
+        let entry = self.entries.get(&object)?;
+        let (belief, tbv) = match entry.belief {
+            Belief::Unknown => (BeliefKind::Unknown, None),
+            Belief::Hidden(tbv) => (BeliefKind::Hidden, Some(tbv)),
+            Belief::Visible => (BeliefKind::Visible, None),
+            Belief::Absent => (BeliefKind::Absent, None),
+        };
+        let class = &self.classes[entry.class];
+        let until = entry.due.unwrap_or(self.horizon).max(self.horizon);
+        Some(Explanation {
+            belief,
+            tbv,
+            tested: tbv.map(|tbv| extent_bound(class, tbv.centre.metres(), tbv.radius_at(until))),
+            decision: entry.decision,
+            asked: entry.ask.map(|ask| (ask.want, ask.reason, ask.heard)),
+            due: entry.due,
+            state_of: entry.state.map(|state| state.tick),
+            hidden_frames: entry.hidden_frames,
+        })
     }
 
     /// Number of objects in V, held hidden, and awaiting an answer.

@@ -41,6 +41,7 @@ mod under_extent;
 mod under_face;
 mod under_region;
 mod view;
+mod wedge;
 
 pub use all_round::{AllRound, AllRoundScratch, AllRoundStats};
 pub use all_round_cells::{AllRoundCells, AllRoundCellsScratch};
@@ -76,3 +77,4 @@ pub use split_octree::{References, SplitOctree, SplitRules, SplitStats, Update};
 pub use tessellation::{CellId, Cells, Face, Neighbour, Tessellation};
 pub use under::{RegionError, UnderOcclusion, UnderStats};
 pub use view::{EyeRegion, Resolution, View, ViewError};
+pub use wedge::Wedge;

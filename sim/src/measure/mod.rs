@@ -8,20 +8,27 @@ mod log;
 mod quic;
 pub mod report;
 mod row;
+mod sweep;
 mod truth;
 mod virtual_time;
+mod why;
 
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use eyeline_client::session::{Session, SessionConfig};
 use eyeline_client::tracking::{Growth, Lead, Sabotage, TrackerConfig};
+use eyeline_protocol::Interest;
 use eyeline_server::world::WorldConfig;
 use eyeline_visibility::Resolution;
 
 pub use log::{Bursts, ClientLog, Commit, FrameLog, Known, ObjectInfo, RunLog};
 pub use row::{MeasureRow, columns};
+pub use sweep::{Sweep, SweepKey};
 pub use truth::{Truth, judge};
+pub use why::why;
 
+use crate::people::{FrameHook, Person};
 use crate::report::Progress;
 use crate::stage::{Crowd, Stage};
 use crate::virtual_net::LinkRules;
@@ -70,6 +77,8 @@ pub struct MeasureConfig {
     pub staged: bool,
     /// How far ahead the trackers ask about visibility.
     pub lead: Lead,
+    /// Which directions clients hear of.
+    pub interest: Interest,
     /// Deliberate damage to the trackers.
     pub sabotage: Option<Sabotage>,
 }
@@ -93,6 +102,7 @@ impl Default for MeasureConfig {
             linger_frames: 2,
             staged: true,
             lead: Lead::None,
+            interest: Interest::Around,
             sabotage: None,
         }
     }
@@ -124,12 +134,19 @@ impl MeasureConfig {
             .with_sabotage(self.sabotage)
     }
 
+    /// The `number`th watching person.
+    fn person(&self, stage: &Stage, number: usize, hook: Option<FrameHook>) -> Person {
+        let person = Person::new(stage, self.seed, number, self.side, hook);
+        if self.sabotage == Some(Sabotage::SampledLead) { person.with_sampled_lead(self.side) } else { person }
+    }
+
     fn session(&self, number: usize) -> SessionConfig {
         let pixels = |side: u32| u16::try_from(side).unwrap_or(u16::MAX);
         SessionConfig::default()
             .with_resolution(pixels(self.resolution.width), pixels(self.resolution.height))
             .with_name(format!("client {number}"))
             .with_tracker(self.tracker())
+            .with_interest(self.interest)
             .with_record_states()
     }
 }
@@ -151,6 +168,9 @@ pub fn measure(
     net: &Net,
     policy: &str,
 ) -> anyhow::Result<MeasureRow> {
+    if let Some(crowd) = crowd {
+        crowd.slid.store(0, Ordering::Relaxed);
+    }
     let log = match net {
         Net::Quic => quic::run(stage, crowd, config, policy)?,
         Net::Sim(link) => virtual_time::run(stage, crowd, config, link, policy)?,
@@ -159,5 +179,7 @@ pub fn measure(
     let progress = Progress::new(frames as u64, &format!("{policy}: computing the truth"));
     let truth = judge(stage, &log, config, &progress);
     progress.finish();
-    Ok(row::row(&log, &truth, config))
+    let mut row = row::row(&log, &truth, config, net);
+    row.slid_steps = crowd.map_or(0, |crowd| crowd.slid.load(Ordering::Relaxed));
+    Ok(row)
 }

@@ -157,7 +157,7 @@ async fn run_clients(
         let log = Arc::new(Mutex::new(ClientLog::default()));
         let bursts = Bursts::new(config.burst_frames, config.truth_share, number as u64);
         let hook = recorder(log.clone(), is_measuring.clone(), bursts, clock, world_clock, stage.anchor());
-        let person = Person::new(stage, config.seed, number, config.side, Some(hook));
+        let person = config.person(stage, number, Some(hook));
         let phase = config.frame() * number as u32 / count;
         let task = watch(connection, person, log, config.frame(), phase, start, end);
         tasks.push(tokio::task::spawn_local(task));

@@ -1,6 +1,6 @@
 //! The report of a measurement: error against run time first, then traffic.
 
-use super::{MeasureConfig, MeasureRow, columns};
+use super::{MeasureConfig, MeasureRow, SweepKey, columns};
 use crate::report::{Axis, Comparison, Plot, PlotKind, Point, Report, RowError, Run, Series};
 use crate::stage::Stage;
 
@@ -22,7 +22,13 @@ pub const SHORT: [&str; 10] = [
 ///
 /// # Errors
 /// If a row is not flat; a fault of this program.
-pub fn report(run: Run, stage: &Stage, rows: &[MeasureRow], config: &MeasureConfig) -> Result<Report, RowError> {
+pub fn report(
+    run: Run,
+    stage: &Stage,
+    rows: &[MeasureRow],
+    config: &MeasureConfig,
+    swept: Option<SweepKey>,
+) -> Result<Report, RowError> {
     let mut report = Report::new(run, columns());
     report.run.notes.extend(stage.notes.iter().cloned());
     report.run.notes.push(format!(
@@ -65,7 +71,12 @@ pub fn report(run: Run, stage: &Stage, rows: &[MeasureRow], config: &MeasureConf
             ));
         }
     }
-    report.headline = headline(rows);
+    report.headline = match swept {
+        None => headline(rows),
+        Some(key) => {
+            format!("{} settings of {:?} were swept. {}", rows.len(), key, key.exponents(rows).unwrap_or_default())
+        }
+    };
     report.compare(Comparison::new(&["policy"], "client_frame_ms", "missed_percent").by_series("policy"));
     let mut traffic = Plot::new(
         "Picture error against traffic",
@@ -98,6 +109,7 @@ pub fn report(run: Run, stage: &Stage, rows: &[MeasureRow], config: &MeasureConf
     .with_series(bars("own poses", &|row| row.poses_per_client_s))
     .with_series(bars("states of shown objects", &|row| row.pushed_per_client_s))
     .with_series(bars("caused by hidden objects", &|row| row.hidden_caused_per_client_s));
+    report.plots.extend(swept.into_iter().flat_map(|key| key.plots(rows)));
     report.plots.extend([messages, traffic, bytes]);
     Ok(report)
 }

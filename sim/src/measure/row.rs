@@ -4,8 +4,9 @@ use serde::Serialize;
 
 use eyeline_server::world::AVATAR_CLASS;
 
-use super::{MeasureConfig, RunLog, Truth};
+use super::{MeasureConfig, Net, RunLog, Truth};
 use crate::report::Column;
+use crate::virtual_net::LinkRules;
 
 /// One policy, measured.
 #[derive(Clone, Debug, Serialize)]
@@ -19,8 +20,11 @@ pub struct MeasureRow {
     pub seconds: f64,
     pub tick_hz: u32,
     pub resolution: String,
-    pub interest: &'static str,
+    pub interest: String,
     pub rtt_ms: f64,
+    pub jitter_ms: f64,
+    pub loss: f64,
+    pub blur: f64,
     pub lead: String,
     pub lead_ms: f64,
     pub avatars: usize,
@@ -69,6 +73,7 @@ pub struct MeasureRow {
     pub late_refuted: u64,
     pub requests_resent: u64,
     pub poses_clamped: u64,
+    pub slid_steps: u64,
     pub violations: u64,
     pub broken_bound_object_ms: f64,
     pub message_digest: String,
@@ -92,6 +97,9 @@ pub fn columns() -> Vec<Column> {
         column("resolution", "px", "of the frames, 90° across"),
         column("interest", "", "which directions a client hears of"),
         column("rtt_ms", "ms", "smoothed round trip, mean over frames"),
+        column("jitter_ms", "ms", "jitter of the simulated network, each way"),
+        column("loss", "", "share of datagrams that it loses, each way"),
+        column("blur", "m", "least radius within which a hidden object's place stays uncertain"),
         column("lead", "", "how the lead was chosen: none, auto or fixed"),
         column("lead_ms", "ms", "how far ahead visibility was tested, mean over frames"),
         column("avatars", "", "avatars in the world, watching or not"),
@@ -168,6 +176,7 @@ pub fn columns() -> Vec<Column> {
         column("late_refuted", "", "verdicts of late that rays did not bear out, dropped"),
         column("requests_resent", "", "requests sent again because no answer came"),
         column("poses_clamped", "", "poses held back to their motion bound"),
+        column("slid_steps", "", "steps of recorded people that led into a wall, and along it instead"),
         column("violations", "", "bounds broken on purpose: teleports, entering, leaving"),
         column("broken_bound_object_ms", "ms", "time for which clients believed bounds that had been broken, summed"),
         column(
@@ -178,7 +187,11 @@ pub fn columns() -> Vec<Column> {
     ]
 }
 
-pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig) -> MeasureRow {
+pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig, net: &Net) -> MeasureRow {
+    let link = match net {
+        Net::Quic => LinkRules::default(),
+        Net::Sim(link) => *link,
+    };
     let clients = log.clients.len().max(1) as f64;
     let seconds = log.window.as_secs_f64();
     let rate = |count: u64| count as f64 / clients / seconds;
@@ -206,8 +219,11 @@ pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig) -> Measur
         seconds,
         tick_hz: config.tick_hz,
         resolution: config.resolution.to_string(),
-        interest: "around",
+        interest: config.interest.to_string(),
         rtt_ms: mean(&rtt_ms),
+        jitter_ms: link.jitter.as_secs_f64() * 1e3,
+        loss: link.loss,
+        blur: config.blur,
         lead: config.lead.to_string(),
         lead_ms: mean(&sorted_ms(&|frame| frame.ahead.time)),
         avatars: log.objects.iter().filter(|object| object.class == AVATAR_CLASS).count(),
@@ -261,6 +277,7 @@ pub(super) fn row(log: &RunLog, truth: &Truth, config: &MeasureConfig) -> Measur
         late_refuted: truth.late_refuted,
         requests_resent: log.clients.iter().map(|client| client.resent).sum(),
         poses_clamped: log.poses_clamped,
+        slid_steps: 0,
         violations: log.violations,
         broken_bound_object_ms: log.clients.iter().map(|client| client.broken_believed.as_secs_f64() * 1e3).sum(),
         message_digest: log.digest.map_or_else(String::new, |digest| format!("{digest:016x}")),

@@ -25,15 +25,26 @@ use crate::virtual_net::{
 };
 
 /// The virtual microsecond at which a run begins; true time and a driver's clock are the same.
-const BEGIN: WorldTime = WorldTime::from_micros(1_000_000);
+pub(super) const BEGIN: WorldTime = WorldTime::from_micros(1_000_000);
 
-pub(super) fn run(
+/// A run with everybody in it, before anything has happened.
+pub(super) struct Begun {
+    pub run: VirtualRun,
+    /// Watching clients, by their numbers in the run.
+    pub numbers: Vec<usize>,
+    costs: Vec<Rc<RefCell<Cost>>>,
+    /// Connections that only move avatars.
+    actors: Vec<usize>,
+}
+
+/// Connects everybody.
+pub(super) fn begin(
     stage: &Stage,
     crowd: Option<&Crowd>,
     config: &MeasureConfig,
     link: &LinkRules,
     policy: &str,
-) -> anyhow::Result<RunLog> {
+) -> anyhow::Result<Begun> {
     let world = stage.world(config.world(stage), policy, BEGIN)?;
     let mut run = VirtualRun::new(world, config.seed, BEGIN);
     let bounds = stage.model.scene.bounds();
@@ -52,13 +63,24 @@ pub(super) fn run(
     let costs: Vec<_> = (0..config.clients).map(|_| Rc::new(RefCell::new(Cost::default()))).collect();
     let mut numbers = Vec::new();
     for (number, cost) in costs.iter().enumerate() {
-        let person = Person::new(stage, config.seed, number, config.side, None);
+        let person = config.person(stage, number, None);
         let session = config.session(number);
         let phase = config.frame() * number as u32 / config.clients.max(1) as u32;
         let plan = ClientPlan::new(session, *link).with_phase(phase);
         let watching = Watching { person, cost: cost.clone(), anchor: stage.anchor() };
         numbers.push(run.join(plan, Box::new(watching), index()));
     }
+    Ok(Begun { run, numbers, costs, actors })
+}
+
+pub(super) fn run(
+    stage: &Stage,
+    crowd: Option<&Crowd>,
+    config: &MeasureConfig,
+    link: &LinkRules,
+    policy: &str,
+) -> anyhow::Result<RunLog> {
+    let Begun { mut run, numbers, costs, actors } = begin(stage, crowd, config, link, policy)?;
     let mut recorder = Recorder {
         config,
         start: BEGIN + config.warm_up,

@@ -20,6 +20,9 @@ pub struct Placement {
     pub scale: f64,
 }
 
+/// π·(3 − √5), radians.
+const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
+
 impl Default for Placement {
     fn default() -> Placement {
         Placement { origin: DVec3::ZERO, heading: 0.0, scale: 1.0 }
@@ -46,11 +49,31 @@ impl Placement {
     /// least sum of distances to the others), at scale 1. A place is used rather than the middle of them all because
     /// that may be in a wall, in the void or between two storeys. `None` without a place.
     pub fn fit(trace: &Trace, places: &[DVec3]) -> Option<Placement> {
+        Placement::spread(trace, places, 1).pop()
+    }
+
+    /// `count` such placements (fewer where there are fewer places): each further one at the place that is farthest from all
+    /// before it, turned by the golden angle, so that no two look alike.
+    pub fn spread(trace: &Trace, places: &[DVec3], count: usize) -> Vec<Placement> {
         let sum = |from: &DVec3| places.iter().map(|place| place.distance(*from)).sum::<f64>();
-        let central = places.iter().map(|place| (sum(place), place)).min_by(|a, b| a.0.total_cmp(&b.0))?.1;
+        let central = places.iter().map(|place| (sum(place), *place)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let mut taken: Vec<DVec3> = central.into_iter().map(|(_, place)| place).collect();
+        while taken.len() < count.min(places.len()) {
+            let apart = |place: &DVec3| taken.iter().map(|other| other.distance(*place)).fold(f64::INFINITY, f64::min);
+            match places.iter().max_by(|a, b| apart(a).total_cmp(&apart(b))) {
+                Some(&place) if !taken.contains(&place) => taken.push(place),
+                _ => break,
+            }
+        }
+        taken.truncate(count);
         let (min, max) = trace.ground();
         let DVec2 { x, y } = (min + max) * 0.5;
-        Some(Placement { origin: *central - DVec3::new(x, 0.0, -y), ..Placement::default() })
+        let placed = |(i, place): (usize, &DVec3)| {
+            let heading = GOLDEN_ANGLE * i as f64;
+            let origin = *place - DQuat::from_rotation_y(heading) * DVec3::new(x, 0.0, -y);
+            Placement { origin, heading, scale: 1.0 }
+        };
+        taken.iter().enumerate().map(placed).collect()
     }
 }
 

@@ -9,9 +9,10 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use eyeline_client::tracking::{Growth, Lead, Sabotage};
+use eyeline_protocol::Interest;
 use eyeline_server::app::number;
-use eyeline_sim::demo;
-use eyeline_sim::measure::{MeasureConfig, Net};
+use eyeline_sim::demo::{self, Case};
+use eyeline_sim::measure::{self, MeasureConfig, Net, Sweep, SweepKey};
 use eyeline_sim::scene::plan::RoomsRules;
 use eyeline_sim::stage::{POLICIES, Stage};
 use eyeline_sim::trace::Trace;
@@ -23,7 +24,7 @@ use super::place::Place;
 use super::{pair, resolution};
 
 /// Options of `measure`.
-#[derive(Args)]
+#[derive(Args, Clone)]
 pub struct Measure {
     /// The model: a .glb or .gltf. What moves in it is said by NAME.world.toml beside it; avatars stand at the places of
     /// NAME.places.json, or walk if NAME.rooms.json is there
@@ -41,6 +42,10 @@ pub struct Measure {
     /// A recorded crowd that walks through the world besides
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
+
+    /// So many copies of that crowd, apart in the world and shifted in time, to fill it
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "trace", value_parser = clap::value_parser!(u32).range(1..=64))]
+    trace_copies: u32,
 
     #[command(flatten)]
     place: Place,
@@ -115,6 +120,10 @@ pub struct Measure {
     #[arg(long, value_name = "LEAD", default_value = "none")]
     lead: Lead,
 
+    /// Which directions clients hear of: around, since a turn of the head beats any lead, or frustum, the paper's
+    #[arg(long, value_name = "DIRECTIONS", default_value = "around", value_parser = interest)]
+    interest: Interest,
+
     /// Frames that something must be hidden before updates are declined
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=1000))]
     linger_frames: u32,
@@ -127,9 +136,14 @@ pub struct Measure {
     #[arg(long, value_name = "SHARE", default_value_t = 0.1, value_parser = number(0.0..=1.0, ""))]
     truth_share: f64,
 
-    /// Break the trackers on purpose: drop-exposures, late-one-tick or freeze-clock. The report must show misses
+    /// Break the trackers on purpose: drop-exposures, late-one-tick, freeze-clock, point-lead or sampled-lead. The report must show misses
     #[arg(long, value_name = "HOW")]
     sabotage: Option<Sabotage>,
+
+    /// Try several values of one setting, as in rtt=0,50,100: rooms (a side, at constant density), avatars, clients, rtt, loss,
+    /// lead or blur
+    #[arg(long, value_name = "NAME=VALUES")]
+    sweep: Option<Sweep>,
 
     /// Folder for report.html, report.json and report.csv
     #[arg(long, value_name = "DIR", default_value = "out/measure")]
@@ -148,7 +162,21 @@ enum NetName {
 pub const EXAMPLES: &str = "Examples:
   eyeline-sim measure --world oa_dm2.glb --trace students03_obsmat.txt --seconds 20 --out out/dm2
   eyeline-sim measure --rooms 16x16 --clients 64 --net sim --rtt 50 --jitter 10 --loss 0.02
+  eyeline-sim measure --net sim --rooms 4x4 --avatars 64 --clients 16 --sweep rooms=4,8,16 --policies visible,broadcast
+  eyeline-sim measure --net sim --rtt 50 --jitter 10 --sweep lead=none,40,80,auto --policies visible
   eyeline-sim measure --policies visible --sabotage drop-exposures      (must show misses)";
+
+pub const WHY_EXAMPLES: &str = "Examples:
+  eyeline-sim why 3 12 --rooms 4x4 --clients 8 --at 2.5
+  eyeline-sim why 0 chair.17 --rtt 50 --lead auto --seed 9";
+
+fn interest(text: &str) -> Result<Interest, String> {
+    match text {
+        "around" => Ok(Interest::Around),
+        "frustum" => Ok(Interest::Frustum),
+        other => Err(format!("'{other}' is not around or frustum")),
+    }
+}
 
 fn columns_by_rows(text: &str) -> Result<(u32, u32), String> {
     let rooms = pair(text).filter(|&(columns, rows)| (1..=200).contains(&columns) && (1..=200).contains(&rows));
@@ -189,8 +217,8 @@ const BUSY: f64 = 0.6;
 /// What a client's frame costs besides culling, seconds: tracking and QUIC, with room for what the demo shows.
 const CLIENT_S: f64 = 0.3e-3;
 
-/// Measures.
-pub fn run(options: &Measure) -> anyhow::Result<()> {
+/// The measurement that the options ask for.
+fn prepare(options: &Measure) -> anyhow::Result<Case> {
     let mut stage = match &options.world {
         Some(world) => Stage::load(world, options.world_file.as_deref())?,
         None => {
@@ -201,8 +229,9 @@ pub fn run(options: &Measure) -> anyhow::Result<()> {
     let mut crowd = None;
     if let Some(file) = &options.trace {
         let trace = Trace::read(file)?;
-        let (with_crowd, placed) =
-            stage.with_crowd(trace, options.place.placement()).with_context(|| file.display().to_string())?;
+        let (with_crowd, placed) = stage
+            .with_crowd(trace, options.place.placement(), options.trace_copies as usize)
+            .with_context(|| file.display().to_string())?;
         stage = with_crowd;
         crowd = Some(placed);
     }
@@ -234,21 +263,102 @@ pub fn run(options: &Measure) -> anyhow::Result<()> {
         linger_frames: options.linger_frames,
         staged: !options.no_staged,
         lead: options.lead,
+        interest: options.interest,
         sabotage: options.sabotage,
         ..MeasureConfig::default()
     };
     let millis = |value: f64| Duration::from_secs_f64(value * 1e-3);
+    let link = LinkRules::default()
+        .with_delay(millis(options.rtt / 2.0))
+        .with_jitter(millis(options.jitter))
+        .with_loss(options.loss);
     let net = match options.net {
         NetName::Quic => Net::Quic,
-        NetName::Sim => Net::Sim(
-            LinkRules::default()
-                .with_delay(millis(options.rtt / 2.0))
-                .with_jitter(millis(options.jitter))
-                .with_loss(options.loss),
-        ),
+        NetName::Sim => Net::Sim(link),
     };
+    Ok(Case { stage, crowd, config, net })
+}
+
+/// The options with one value of a sweep.
+fn swept(options: &Measure, key: SweepKey, value: &str) -> anyhow::Result<Measure> {
+    let mut options = options.clone();
+    let whole = || value.parse::<u32>().ok().filter(|&value| value > 0);
+    let real = |most: f64| value.parse::<f64>().ok().filter(|value| (0.0..=most).contains(value));
+    let bad = || format!("--sweep: '{value}' is no value of {key:?}");
+    match key {
+        SweepKey::Rooms => {
+            let side = whole().filter(|&side| side <= 200).with_context(bad)?;
+            // As many to a room as before.
+            let before = f64::from(options.rooms.0 * options.rooms.1);
+            let avatars = options.avatars.or(options.clients).unwrap_or(32);
+            let avatars = f64::from(avatars) * f64::from(side * side) / before;
+            options.avatars = Some((avatars.round() as u32).max(1));
+            options.rooms = (side, side);
+        }
+        SweepKey::Avatars => options.avatars = Some(whole().with_context(bad)?),
+        SweepKey::Clients => options.clients = Some(whole().with_context(bad)?),
+        SweepKey::Rtt => options.rtt = real(10_000.0).with_context(bad)?,
+        SweepKey::Loss => options.loss = real(0.9).with_context(bad)?,
+        SweepKey::Lead => options.lead = value.parse().map_err(anyhow::Error::msg).with_context(bad)?,
+        SweepKey::Blur => options.blur = real(1000.0).with_context(bad)?,
+    }
+    Ok(options)
+}
+
+/// Measures.
+pub fn run(options: &Measure) -> anyhow::Result<()> {
     let policies: Vec<&str> = options.policies.iter().map(String::as_str).collect();
-    let text = demo::measure_all(&stage, crowd.as_ref(), &config, &net, &policies, &options.out, "Eyeline measure")?;
+    let text = match &options.sweep {
+        None => demo::measure_all(&prepare(options)?, &policies, &options.out, "Eyeline measure")?,
+        Some(Sweep { key, values }) => {
+            // Each value is looked at before hours go into the first.
+            let all: Vec<Measure> = values.iter().map(|value| swept(options, *key, value)).collect::<Result<_, _>>()?;
+            let first = prepare(&all[0])?;
+            let mut next = all.iter().enumerate();
+            // The first is prepared already.
+            let case_of =
+                |_: &str| next.next().filter(|&(i, _)| i > 0).map(|(_, options)| prepare(options)).transpose();
+            demo::measure_sweep(
+                &policies,
+                Some(*key),
+                values,
+                case_of,
+                &first,
+                &options.out,
+                "Eyeline measure: a sweep",
+            )?
+        }
+    };
+    super::print(&text);
+    Ok(())
+}
+
+/// Options of `why`.
+#[derive(Args)]
+pub struct Why {
+    /// The watching client, from 0
+    viewer: usize,
+
+    /// The object, by its id or name
+    object: String,
+
+    /// When, seconds into the measured time
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = number(0.0..=86_400.0, "s"))]
+    at: f64,
+
+    #[command(flatten)]
+    run: Measure,
+}
+
+/// Explains.
+pub fn explain(options: &Why) -> anyhow::Result<()> {
+    // Virtual time whatever --net says: it can be gone through again.
+    let run = Measure { net: NetName::Sim, ..options.run.clone() };
+    let Case { stage, crowd, config, net } = prepare(&run)?;
+    let Net::Sim(link) = net else { anyhow::bail!("why runs in virtual time") };
+    let policy = options.run.policies.first().map_or("visible", String::as_str);
+    let at = Duration::from_secs_f64(options.at);
+    let text = measure::why(&stage, crowd.as_ref(), &config, &link, policy, options.viewer, &options.object, at)?;
     super::print(&text);
     Ok(())
 }

@@ -22,6 +22,9 @@ pub enum Verb {
     /// Measure policies side by side: messages, bytes, misses, lateness and disclosure, with the truth beside them
     #[command(after_long_help = measure::EXAMPLES)]
     Measure(Box<measure::Measure>),
+    /// Explain why a client shows an object at a moment, or not: runs a measurement in virtual time until then
+    #[command(after_long_help = measure::WHY_EXAMPLES)]
+    Why(Box<measure::Why>),
     /// Compare cullers: wrong pixels, what was kept and what was lost, z-tests and time
     #[command(after_long_help = cull::EXAMPLES)]
     Cull(Box<cull::Cull>),
@@ -49,6 +52,7 @@ pub enum Verb {
 pub fn run(verb: &Verb) -> anyhow::Result<()> {
     match verb {
         Verb::Measure(options) => measure::run(options),
+        Verb::Why(options) => measure::explain(options),
         Verb::Cull(options) => cull::run(options),
         Verb::Track(options) => track::run(options),
         Verb::Scene(options) => scene::run(options),

@@ -6,7 +6,7 @@ use eyeline_sim::trace::Placement;
 use glam::DVec3;
 
 /// Where a recording lies in the world.
-#[derive(Args)]
+#[derive(Args, Clone)]
 pub struct Place {
     /// Where the recording's origin lies in the world, metres [default: its middle at the most central place where avatars
     /// start]

@@ -62,7 +62,7 @@ pub fn run(options: &Replay) -> anyhow::Result<()> {
     let file = options.trace.display();
     let avatars = avatars.with_context(|| format!("{file}: {people} people at once are more than {AVATARS_MAX}"))?;
     let placement = place(options, &trace)?;
-    let crowd = Crowd { trace: trace.into(), placement };
+    let crowd = Crowd::new(trace.into(), placement);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(play(options, crowd, avatars))
 }
