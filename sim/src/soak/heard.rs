@@ -286,12 +286,10 @@ impl Heard {
             wrong.push(format!("holds for {over:?} longer than any does"));
         }
         if let Some(&(_, truly)) = being.places.iter().rev().find(|(since, _)| *since <= tick) {
-            // A fresh one has room for the slack; of an older one the object may have used that up.
-            let slack = if tbv.issued == tick && tbv.speed > 0.0 { being.motion.slack } else { 0.0 };
-            let distance = tbv.centre.metres().distance(truly.metres()) + slack;
+            let distance = tbv.centre.metres().distance(truly.metres());
             if distance > tbv.radius_at(tick) + 1e-9 {
                 let radius = tbv.radius_at(tick);
-                wrong.push(format!("is told a radius of {radius} m, of which it needs {distance}"));
+                wrong.push(format!("has a radius of {radius} m as it is told, and it is {distance} m from its centre"));
             }
         }
         let is_true = wrong.is_empty();

@@ -64,6 +64,8 @@ mutants! {
     IgnoreExpiry = "ignore-expiry",
     /// Lead: none, where one is expected.
     LeadForgotten = "lead-forgotten",
+    /// Lead: bounds are grown for it, but looked at from the eye's own point.
+    PointLead = "point-lead",
     /// Clock: that of expiry stands still.
     FreezeClock = "freeze-clock",
     /// Clock: a tenth slow or fast.
@@ -119,6 +121,7 @@ impl Mutant {
             Mutant::AcceptStaleIssue => Some(Sabotage::AcceptStaleIssue),
             Mutant::IgnoreExpiry => Some(Sabotage::IgnoreExpiry),
             Mutant::FreezeClock => Some(Sabotage::FreezeClock),
+            Mutant::PointLead => Some(Sabotage::PointLead),
             _ => None,
         };
         rules.sabotage = sabotage.or(rules.sabotage);

@@ -294,10 +294,12 @@ impl Truth {
             if is_seen {
                 self.visible_checked += 1;
                 let since = *watcher.seen_since.entry(id).or_insert(at);
-                // A broken bound has to be announced first; who has just appeared, even to be asked for twice.
+                // A broken bound has to be announced first; who has just appeared, even to be asked for twice, and so has
+                // everybody for who has just joined.
                 let heard = past.violated_at.map_or(WorldTime::MIN, |violated| violated + down_max);
                 let known = past.appeared_at.map_or(WorldTime::MIN, |appeared| appeared + down_max + round_trip_max);
-                let unforeseen_by = heard.max(known).max(watcher.leapt).max(began) + (round_trip_max + frame_period);
+                let unforeseen_by =
+                    heard.max(known).max(watcher.leapt).max(began + round_trip_max) + (round_trip_max + frame_period);
                 let bound = (since + unforeseen).max(unforeseen_by) + for_losses;
                 let bound = bound.max(silent);
                 if drawn_of.is_none() {
