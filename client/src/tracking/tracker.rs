@@ -722,8 +722,7 @@ impl Tracker {
         self.stats.exposed += 1;
         // A fresh bound helps only if it is a good deal tighter than this one has become.
         let entry = &self.entries[&object];
-        let fresh = self.blur + self.classes[entry.class].motion.slack;
-        // One that does not grow would come back the same, again and again; so may one that has just been asked for.
+        let fresh = (self.blur + self.classes[entry.class].motion.slack).max(tbv.radius);
         let is_new = entry.freshened_in == Some(self.stats.frames);
         let gains = !is_new && tbv.speed > 0.0 && tbv.radius_at(self.latest) > 1.25 * fresh + 0.05;
         // A place comes as soon as a state would, so that it is never later; updates follow if it is in sight.

@@ -8,6 +8,7 @@
 //! to each object's motion bound; every record that leaves speaks of the newest committed state. Requests are answered
 //! on arrival.
 
+mod blur;
 mod config;
 mod object;
 mod session;
@@ -611,9 +612,12 @@ impl World {
         let Phase::Live { slot, .. } = session.phase else { return None };
         let (tick, blur_config, anchor) = (self.tick, &self.config, self.anchor);
         let classes = &self.classes;
-        session.build(now, tick, slot, &mut self.objects, &mut self.stats, |object| {
+        session.build(now, tick, slot, &mut self.objects, &mut self.stats, |object, known| {
             let motion = classes[usize::from(object.class.0)].motion;
-            WireTbv::new(&object.fresh_tbv(tick, motion, blur_config, anchor), tick)
+            let fresh = object.fresh_tbv(tick, motion, blur_config, anchor);
+            let tbv = known.map_or(fresh, |known| known.answer(fresh, motion, blur_config.blur));
+            debug_assert!(tbv.contains(object.position.metres(), tick), "a bound must contain its object");
+            WireTbv::new(&tbv, tick)
         })
     }
 

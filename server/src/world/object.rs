@@ -4,7 +4,7 @@ use eyeline_protocol::{ClassId, Issue, MotionBound, ObjectId, Orientation, Posit
 use fixedbitset::FixedBitSet;
 use glam::DVec3;
 
-use super::{SessionId, WorldConfig};
+use super::{SessionId, WorldConfig, blur};
 use crate::path::Path;
 
 /// An object of the world. Everything public is the committed state.
@@ -39,6 +39,8 @@ pub struct Object {
     pub(super) holders: FixedBitSet,
     /// Of those, the ones that were told something since the last violation.
     pub(super) told_since_violation: FixedBitSet,
+    /// The bound that was told last.
+    issued: blur::Issued,
     /// Metres that it may still move, beyond what each tick adds: the token bucket of its motion bound.
     allowance: f64,
 }
@@ -73,6 +75,7 @@ impl Object {
             placed: None,
             holders: FixedBitSet::new(),
             told_since_violation: FixedBitSet::new(),
+            issued: blur::Issued::default(),
             allowance: 0.0,
         }
     }
@@ -133,24 +136,30 @@ impl Object {
         Position::from_metres(from + (to - from) * (reach / distance)).unwrap_or(self.position)
     }
 
-    /// A bound of this tick.
+    /// The bound to tell at this tick; the same for all who ask.
     ///
     /// What follows a preset path is bounded by the ball around the whole path, which does not grow; what nobody moves
     /// does not grow either. Everything else grows by its class's speed.
-    pub(super) fn fresh_tbv(&self, tick: WorldTime, motion: MotionBound, config: &WorldConfig, anchor: DVec3) -> Tbv {
+    pub(super) fn fresh_tbv(
+        &mut self,
+        tick: WorldTime,
+        motion: MotionBound,
+        config: &WorldConfig,
+        anchor: DVec3,
+    ) -> Tbv {
         let (centre, radius, speed) = match (&self.path, self.owner) {
             (Some(path), _) if config.swept => {
                 let (middle, reach) = path.ball();
-                // No smaller than the blur, however short the path: where it is on it is not to be known better.
-                let reach = reach.max(config.blur) + QUANTUM_METRES;
-                (Position::from_metres(middle - anchor).unwrap_or(self.position), reach, 0.0)
+                // However short the path, where it is on it is not to be known better than the blur.
+                let radius = blur::beside(reach + QUANTUM_METRES, config.blur);
+                (Position::from_metres(middle - anchor).unwrap_or(self.position), radius, 0.0)
             }
             (None, None) if config.swept => {
-                let (centre, radius) = self.blurred(config);
-                (centre, radius, 0.0)
+                let (centre, reach) = blur::blurred(self.position, config);
+                (centre, blur::beside(reach, config.blur), 0.0)
             }
             _ => {
-                let (centre, radius) = self.blurred(config);
+                let (centre, radius) = blur::blurred(self.position, config);
                 (centre, radius, motion.speed_max)
             }
         };
@@ -162,27 +171,10 @@ impl Object {
             expires: tick + config.validity_max,
             issue: self.issue,
         };
+        // Without blur there is nothing to keep, and the freshest is best.
+        let tbv = if config.blur > 0.0 { self.issued.nested(tbv) } else { tbv };
         debug_assert!(tbv.contains(self.position.metres(), tick), "a bound must contain its object when it is issued");
         tbv
-    }
-
-    /// Its place snapped to a horizontal grid with a secret offset, the same for every asker and every time, so that asking
-    /// often does not average the blur away; and how far from that it may be. The grid's pitch is √2·blur, whose cells have
-    /// an enclosing circle of radius `blur`. Height is not hidden: floors are no secret.
-    fn blurred(&self, config: &WorldConfig) -> (Position, f64) {
-        if config.blur <= 0.0 {
-            return (self.position, 0.0);
-        }
-        let exact = self.position.metres();
-        let pitch = config.blur * std::f64::consts::SQRT_2;
-        let (offset_x, offset_z) = grid_offset(config.grid_seed, pitch);
-        let snap = |x: f64, offset: f64| (((x - offset) / pitch).floor() + 0.5) * pitch + offset;
-        let centre = DVec3::new(snap(exact.x, offset_x), exact.y, snap(exact.z, offset_z));
-        match Position::from_metres(centre) {
-            // Snapped to the wire's grid on top of it.
-            Ok(centre) => (centre, config.blur + QUANTUM_METRES),
-            Err(_) => (self.position, 0.0),
-        }
     }
 
     /// How it is told of to a holder from now on.
@@ -199,19 +191,6 @@ impl Object {
             }
         }
     }
-}
-
-/// Offsets of the blur grid along x and z, in [0, pitch).
-fn grid_offset(seed: u64, pitch: f64) -> (f64, f64) {
-    // SplitMix64 (Steele, Lea & Flood 2014): two well-mixed words of one seed.
-    let mix = |mut z: u64| {
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ z >> 31
-    };
-    let unit = |word: u64| (word >> 11) as f64 / (1u64 << 53) as f64;
-    let first = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    (unit(mix(first)) * pitch, unit(mix(first.wrapping_add(0x9e37_79b9_7f4a_7c15))) * pitch)
 }
 
 /// Ids of the objects that are in the world.

@@ -11,6 +11,7 @@ use eyeline_protocol::{
     Arrival, Issue, Link, LinkHeader, LocalTime, ObjectId, ServerHeader, ServerRecord, WireTbv, WorldTime,
 };
 
+use super::blur::Known;
 use super::{Object, WorldStats};
 
 /// How far a connection has got.
@@ -63,6 +64,8 @@ pub(super) struct Session {
     /// For how long the client lets an acknowledgement wait, lately at most: it acknowledges with its next frame.
     hold_max: Duration,
     subscriptions: BTreeMap<ObjectId, Subscription>,
+    /// What was told exactly, by object.
+    known: BTreeMap<ObjectId, Known>,
     states_due: BTreeSet<ObjectId>,
     hidden_due: BTreeSet<ObjectId>,
 }
@@ -87,6 +90,7 @@ impl Session {
             link: Link::default(),
             hold_max: Duration::ZERO,
             subscriptions: BTreeMap::new(),
+            known: BTreeMap::new(),
             states_due: BTreeSet::new(),
             hidden_due: BTreeSet::new(),
         }
@@ -190,6 +194,7 @@ impl Session {
     /// The object exists no more.
     pub fn forget(&mut self, object: ObjectId) {
         self.subscriptions.remove(&object);
+        self.known.remove(&object);
         self.states_due.remove(&object);
         self.hidden_due.remove(&object);
         self.bounds_due.remove(&object);
@@ -225,7 +230,7 @@ impl Session {
         slot: usize,
         objects: &mut [Object],
         stats: &mut WorldStats,
-        mut bound: impl FnMut(&Object) -> Option<WireTbv>,
+        mut bound: impl FnMut(&mut Object, Option<&mut Known>) -> Option<WireTbv>,
     ) -> Option<Vec<u8>> {
         let timeout = self.link.timeout();
         let violations_due = self.violations.values().any(|violation| violation.is_due(now, timeout));
@@ -285,6 +290,7 @@ impl Session {
             }
             self.states_due.pop_first();
             object.note_holder(slot);
+            self.known.insert(id, Known::new(object.position, tick, object.issue));
             places += u64::from(!self.subscriptions.get(&id).is_some_and(|subscription| subscription.active));
             if let Some(subscription) = self.subscriptions.get_mut(&id) {
                 subscription.sent = object.changed_at;
@@ -294,7 +300,7 @@ impl Session {
         }
         while let Some(&id) = self.bounds_due.first() {
             let object = &mut objects[id.index()];
-            let tbv = if object.present && object.alive { bound(object) } else { None };
+            let tbv = if object.present && object.alive { bound(object, self.known.get_mut(&id)) } else { None };
             let Some(tbv) = tbv else {
                 self.bounds_due.pop_first();
                 continue;
