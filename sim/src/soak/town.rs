@@ -68,8 +68,6 @@ pub struct TownRules {
     pub mutant: Option<Mutant>,
 }
 
-/// How much of the promised room today's bounds leave (ARCHITECTURE, "A blurred bound hides less").
-const ROOM_SHARE: f64 = 0.3;
 
 impl TownRules {
     /// Four to six clients, 44 movers beside them, images of 64 pixels a side, and a link that the seed decides.
@@ -109,7 +107,7 @@ impl TownRules {
             adversarial: 1.0 / 3.0,
             lead: if chance.random_bool(0.5) { Lead::Auto } else { Lead::None },
             broadcast: false,
-            room_share: ROOM_SHARE,
+            room_share: 1.0,
             sabotage: None,
             mutant: None,
         }
