@@ -74,6 +74,8 @@ struct Knowledge {
     said: VecDeque<Said>,
     /// From when on the room grows: it was told what it had asked for, or entitled.
     grows_from: Option<WorldTime>,
+    /// The newest pose that it was told for no reason.
+    unasked: Option<WorldTime>,
     /// Whether the set has grown to what is promised, which it stays until more is told.
     is_settled: bool,
 }
@@ -265,6 +267,8 @@ impl Heard {
         if is_entitled || is_asked {
             knowledge.grows_from = knowledge.grows_from.max(Some(header.tick));
             self.counts.over_disclosed += u64::from(!is_entitled);
+        } else {
+            knowledge.unasked = knowledge.unasked.max(Some(header.tick));
         }
         let disc = Disc::of_pose(plan(position.metres()), header.tick, being.motion);
         self.told(number, id, disc, at);
@@ -344,7 +348,14 @@ impl Heard {
         }
         self.least_share = self.least_share.min(radius / promised);
         if radius < promised * (self.share - TOLERANCE) {
-            let text = || format!("{id}: known to within {radius:.3} m, which should be {promised:.3} m at least");
+            let unasked = knowledge.unasked.filter(|&tick| Some(tick) > knowledge.grows_from);
+            let told = unasked.map_or(String::new(), |tick| format!(", told unasked of {} µs", tick.micros()));
+            let text = || {
+                format!(
+                    "{id}: known to within {radius:.3} m, which should be {promised:.3} m at least{told} {:?}",
+                    knowledge.said
+                )
+            };
             self.failures.note(number, at, text);
             // Once is enough: it is told again when more is.
             knowledge.is_settled = true;
@@ -355,12 +366,16 @@ impl Heard {
 impl Knowledge {
     /// Whether a pose that the server sent at `sent` was asked for: by who wants updates, or once, lately.
     fn is_asked(&self, sent: WorldTime, tick: Duration) -> bool {
-        let newest = self.said.iter().filter(|said| said.at <= sent).max_by_key(|said| said.seq);
-        newest.is_some_and(|said| match said.want {
-            Some(Want::State) => true,
-            Some(Want::Place) => sent.since(said.at) <= tick,
-            Some(Want::Bound) | None => false,
-        })
+        let by = |time: WorldTime| {
+            let newest = self.said.iter().filter(|said| said.at <= time).max_by_key(|said| said.seq);
+            newest.is_some_and(|said| match said.want {
+                Some(Want::State) => true,
+                Some(Want::Place) => sent.since(said.at) <= tick,
+                Some(Want::Bound) | None => false,
+            })
+        };
+        // What came in the very microsecond may have come before or after it.
+        by(sent) || by(sent.offset_micros(-1))
     }
 }
 

@@ -259,7 +259,7 @@ impl Liar {
                 ServerRecord::Hidden { .. } => {}
             }
         }
-        if self.mutant == Mutant::NumberTwice && victim.sent % 8 == 0 {
+        if self.mutant == Mutant::NumberTwice && victim.sent.is_multiple_of(8) {
             header.link.seq = header.link.seq.saturating_sub(1).max(1);
         }
         self.lie(message.client, &header, &mut records);
@@ -275,7 +275,7 @@ impl Liar {
         let victim = self.clients.entry(client).or_default();
         let steps = |metres: f64| (metres / QUANTUM_METRES) as u32;
         if self.mutant == Mutant::ViolationForgotten {
-            let is_forgotten = |object: ObjectId, issue: Issue| (object.0 + issue.0) % 4 == 0;
+            let is_forgotten = |object: ObjectId, issue: Issue| (object.0 + issue.0).is_multiple_of(4);
             records.retain(|record| {
                 !matches!(*record, ServerRecord::Violation { object, issue, .. } if is_forgotten(object, issue))
             });

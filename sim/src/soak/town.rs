@@ -68,7 +68,6 @@ pub struct TownRules {
     pub mutant: Option<Mutant>,
 }
 
-
 impl TownRules {
     /// Four to six clients, 44 movers beside them, images of 64 pixels a side, and a link that the seed decides.
     pub fn seeded(seed: u64) -> TownRules {
