@@ -350,12 +350,8 @@ impl Heard {
         if radius < promised * (self.share - TOLERANCE) {
             let unasked = knowledge.unasked.filter(|&tick| Some(tick) > knowledge.grows_from);
             let told = unasked.map_or(String::new(), |tick| format!(", told unasked of {} µs", tick.micros()));
-            let text = || {
-                format!(
-                    "{id}: known to within {radius:.3} m, which should be {promised:.3} m at least{told} {:?}",
-                    knowledge.said
-                )
-            };
+            let text =
+                || format!("{id}: known to within {radius:.3} m, which should be {promised:.3} m at least{told}");
             self.failures.note(number, at, text);
             // Once is enough: it is told again when more is.
             knowledge.is_settled = true;
