@@ -76,6 +76,7 @@ impl Observer for Both<'_> {
     }
 
     fn arrives(&mut self, message: &Passing<'_>) {
+        self.truth.arrives(message);
         if message.client != self.client || message.kind != Kind::Datagram {
             return;
         }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use eyeline_sim::soak::{SoakConfig, TownRules, live, soak};
+use eyeline_sim::soak::{SoakConfig, TownRules, live, long, soak};
 
 const SPAN: Duration = Duration::from_secs(5);
 
@@ -45,4 +45,14 @@ fn the_same_seed_gives_the_same_messages_at_the_same_microsecond() {
     }
     let other = live(TownRules { seed: 3, ..TownRules::seeded(2) }, SPAN);
     assert_ne!(live(TownRules::seeded(2), SPAN).run.digest(), other.run.digest());
+}
+
+#[test]
+#[ignore = "ten virtual minutes, four times over, take many real ones; `eyeline-sim soak --long` does the same"]
+fn nobody_is_late_in_ten_minutes_of_sixty_four_avatars() {
+    for case in long::CASES {
+        let outcome = long::run(case, 0, 600, || ());
+        outcome.failures.assert_none(case.name);
+        assert!(outcome.counts.visible > 1_000_000);
+    }
 }
