@@ -130,7 +130,7 @@ mod tests {
     use crate::spec::{ClassSpec, ObjectSpec, WorldSpec};
     use crate::world::{SessionId, World, WorldConfig};
 
-    /// A wall 20 m wide and 8 m high, 2 m before the eye; one object behind its middle, one in the open, and one 1 m
+    /// A wall 20 m wide and 8 m high, 2 m before the eye; one object behind its middle, one in the open, and one 4 m
     /// behind its edge.
     fn stage() -> (RegionAudit, World) {
         let corner = |x: f32, y: f32| Vec3::new(x, y, -2.0);
@@ -147,7 +147,7 @@ mod tests {
             path: None,
         };
         let objects =
-            vec![post("behind", [0.0, 0.0, -4.0]), post("open", [0.0, 0.0, 4.0]), post("edge", [9.0, 0.0, -2.5])];
+            vec![post("behind", [0.0, 0.0, -4.0]), post("open", [0.0, 0.0, 4.0]), post("edge", [9.0, 0.0, -6.0])];
         let spec = WorldSpec { classes: vec![class], objects, ..WorldSpec::default() };
         let info = WorldInfo { name: String::new(), hash: [0; 32], size_bytes: 0, two_sided: false };
         let config = WorldConfig::default();
