@@ -726,18 +726,23 @@ impl Tracker {
         let is_new = entry.freshened_in == Some(self.stats.frames);
         let gains = !is_new && tbv.speed > 0.0 && tbv.radius_at(self.latest) > 1.25 * fresh + 0.05;
         // A place comes as soon as a state would, so that it is never later; updates follow if it is in sight.
-        let want = if self.is_staged() && gains { Want::Bound } else { Want::Place };
+        let want = if gains && self.is_staged_for(entry) { Want::Bound } else { Want::Place };
         self.ask(object, want, Reason::Exposed);
     }
 
-    /// Whether to ask for a bound before a state: only if both round trips fit in one frame, or in the lead, so that the
-    /// promise's bound on lateness holds.
+    /// Whether to ask for a bound before a state: only if both round trips fit in one frame, so that the promise's
+    /// bound on lateness holds.
     fn is_staged(&self) -> bool {
-        let fits = |round_trip: Duration| {
-            // A quarter of the frame each, since the next may be slower still and the answer needs time at both ends.
-            round_trip * 4 < self.config.frame || round_trip * 2 + self.config.frame <= self.ahead.time
-        };
-        self.config.staged && self.round_trip.is_some_and(fits)
+        // A quarter of the frame each, since the next may be slower still and the answer needs time at both ends.
+        self.config.staged && self.round_trip.is_some_and(|round_trip| round_trip * 4 < self.config.frame)
+    }
+
+    /// Whether to ask for a bound first of an object that has been found hidden before: the lead may have time for both
+    /// round trips, too. For who has just come there was no lead.
+    fn is_staged_for(&self, entry: &Entry) -> bool {
+        let was_hidden = matches!(entry.decision.0, Decision::Hidden { .. } | Decision::HiddenForNow);
+        let fits = |round_trip: Duration| round_trip * 2 + self.config.frame <= self.ahead.time;
+        self.is_staged() || self.config.staged && was_hidden && self.round_trip.is_some_and(fits)
     }
 
     fn ask(&mut self, object: ObjectId, want: Want, reason: Reason) {

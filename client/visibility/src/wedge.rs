@@ -40,8 +40,7 @@ impl Wedge {
         let way = centre - self.region.centre;
         let distance = way.x.hypot(way.z);
         let reach = (radius + self.region.radius) * (1.0 + MARGIN) + MARGIN;
-        // Negated, so that NaN is doubt.
-        if !(distance > reach) {
+        if distance.is_nan() || distance <= reach {
             return false;
         }
         let bearing = (-way.x).atan2(-way.z);

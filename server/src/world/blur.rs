@@ -85,8 +85,9 @@ impl Known {
     /// has already as that has grown.
     ///
     /// Kept: what the client can know has an enclosing radius of at least min(`blur`, ρ), where ρ = speed·age is what the
-    /// object may have moved since its place was told. All bounds from before that moment contain the ball of ρ around
-    /// the place, and so do those of all earlier places, slack included. Bounds since then are nested. So what can be
+    /// object may have moved since its place was told. All bounds from before that moment that grow contain the ball of ρ around
+    /// the place, and so do those of all earlier places, slack included; those that do not grow are made so wide that
+    /// they leave room beside every place in them. Bounds since then are nested. So what can be
     /// known is the common part of that ball and the newest bound, which is what is looked at here. Later both grow by
     /// the same length, and their common part by at least that.
     ///

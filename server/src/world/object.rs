@@ -205,16 +205,17 @@ impl Object {
         config: &WorldConfig,
         anchor: DVec3,
     ) -> Tbv {
+        // A ball that does not grow must leave room beside any place in it that was told before or after: with a radius of
+        // √(reach² + blur²) its edge is a blur away in some direction from all within reach of its middle (`blur.rs`).
         let (centre, radius, speed) = match (&self.path, self.owner) {
             (Some(path), _) if config.swept => {
                 let (middle, reach) = path.ball();
-                // No smaller than the blur, however short the path: where it is on it is not to be known better.
-                let reach = reach.max(config.blur) + QUANTUM_METRES;
+                let reach = reach.hypot(config.blur) + QUANTUM_METRES;
                 (Position::from_metres(middle - anchor).unwrap_or(self.position), reach, 0.0)
             }
             (None, None) if config.swept => {
                 let (centre, radius) = blur::blurred(self.position, config);
-                (centre, radius, 0.0)
+                (centre, radius.hypot(config.blur), 0.0)
             }
             _ => {
                 let (centre, radius) = blur::blurred(self.position, config);

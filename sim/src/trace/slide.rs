@@ -45,7 +45,7 @@ impl Obstacles {
     /// How far one gets along `by` before a wall, and its horizontal normal; `None` if nothing is in the way.
     fn meets(&self, from: DVec3, by: DVec3) -> Option<(f64, DVec3)> {
         let length = by.length();
-        if !(length > 1e-9) {
+        if length.is_nan() || length <= 1e-9 {
             return None;
         }
         let direction = by / length;
