@@ -291,6 +291,12 @@ impl Transport for QuicNet {
         end.as_ref().map_or(Duration::ZERO, End::waited_max)
     }
 
+    fn queued_at(&self, client: usize, direction: Direction) -> Option<WorldTime> {
+        let peer = self.peers.get(client)?;
+        let end = if direction == Direction::Up { &peer.client } else { &peer.server };
+        end.as_ref()?.queued_at()
+    }
+
     fn udp(&self, client: usize) -> Option<[u64; 4]> {
         let stats = self.peers.get(client)?.client.as_ref()?.connection.stats();
         Some([stats.udp_tx.datagrams, stats.udp_tx.bytes, stats.udp_rx.datagrams, stats.udp_rx.bytes])

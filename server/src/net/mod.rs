@@ -87,6 +87,9 @@ pub struct ShellStats {
     pub datagrams_dropped: u64,
 }
 
+/// Room in QUIC for one client's datagrams of a tick, bytes.
+const DATAGRAM_BUFFER: usize = 64 * 1024;
+
 /// How many ticks' work is remembered: an hour at 20 Hz.
 pub const TICKS_KEPT: usize = 72_000;
 
@@ -99,6 +102,18 @@ pub type CommitHook = Box<dyn FnMut(&World) + Send>;
 struct Peer {
     connection: quinn::Connection,
     control: mpsc::Sender<Outgoing>,
+    /// When the oldest datagram was handed to QUIC that may still wait there.
+    queued_at: Option<WorldTime>,
+}
+
+impl Peer {
+    /// Whether datagrams have waited in QUIC's buffer for `long`: its path is narrower than what is said, or was for a moment.
+    fn is_backlogged(&mut self, now: WorldTime, long: Duration) -> bool {
+        if self.connection.datagram_send_buffer_space() >= DATAGRAM_BUFFER {
+            self.queued_at = None;
+        }
+        self.queued_at.is_some_and(|at| now.since(at) >= long)
+    }
 }
 
 enum Outgoing {
@@ -162,10 +177,15 @@ impl Handle {
 
 impl Core {
     fn flush(&mut self, now: WorldTime) {
-        while let Some((id, transmit)) = self.world.poll_transmit(now) {
-            let Some(peer) = self.peers.get(&id) else { continue };
+        let half_tick = self.world.tick_period() / 2;
+        loop {
+            let peers = &mut self.peers;
+            let may_build = |id| peers.get_mut(&id).is_none_or(|peer| !peer.is_backlogged(now, half_tick));
+            let Some((id, transmit)) = self.world.poll_transmit_where(now, may_build) else { break };
+            let Some(peer) = self.peers.get_mut(&id) else { continue };
             let outgoing = match transmit {
                 Transmit::Datagram(bytes) => {
+                    peer.queued_at.get_or_insert(now);
                     if peer.connection.send_datagram(Bytes::from(bytes)).is_err() {
                         self.stats.datagrams_dropped += 1;
                     }
@@ -275,7 +295,7 @@ async fn serve(handle: Handle, incoming: quinn::Incoming) {
     let (control, outgoing) = mpsc::channel(CONTROL_QUEUE);
     let mut id = SessionId(0);
     handle.drive(|world, now| id = world.connect(now));
-    handle.lock().peers.insert(id, Peer { connection: connection.clone(), control });
+    handle.lock().peers.insert(id, Peer { connection: connection.clone(), control, queued_at: None });
     if let Some(limit) = connection.max_datagram_size() {
         handle.with_world(|world| world.handle_datagram_limit(id, limit));
     }
@@ -416,7 +436,7 @@ fn transport() -> quinn::TransportConfig {
         .max_idle_timeout(Some(quinn::IdleTimeout::from(quinn::VarInt::from_u32(10_000))))
         .keep_alive_interval(Some(Duration::from_secs(4)))
         .datagram_receive_buffer_size(Some(64 * 1024))
-        .datagram_send_buffer_size(64 * 1024)
+        .datagram_send_buffer_size(DATAGRAM_BUFFER)
         .stream_receive_window(quinn::VarInt::from_u32(128 * 1024))
         .receive_window(quinn::VarInt::from_u32(256 * 1024))
         .send_window(1 << 20)

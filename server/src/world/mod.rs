@@ -615,6 +615,16 @@ impl World {
 
     /// The next thing to send. Datagrams are built here, late, from the newest state.
     pub fn poll_transmit(&mut self, now: WorldTime) -> Option<(SessionId, Transmit)> {
+        self.poll_transmit_where(now, |_| true)
+    }
+
+    /// The same, but builds no datagram for a client that `may_build` says no of: one to which older ones have not left yet.
+    /// What is due stays so until the next tick, and is then told as it is then: no queue fills with the past.
+    pub fn poll_transmit_where(
+        &mut self,
+        now: WorldTime,
+        mut may_build: impl FnMut(SessionId) -> bool,
+    ) -> Option<(SessionId, Transmit)> {
         if let Some(control) = self.out.pop_front() {
             if matches!(control.1, Transmit::Control(_)) {
                 self.stats.control_out += 1;
@@ -622,7 +632,9 @@ impl World {
             return Some(control);
         }
         while let Some(&id) = self.awake.front() {
-            if let Some(datagram) = self.build_datagram(id, now) {
+            let is_free = may_build(id);
+            self.stats.held_back += u64::from(!is_free);
+            if is_free && let Some(datagram) = self.build_datagram(id, now) {
                 self.stats.datagrams_out += 1;
                 self.stats.datagram_bytes_out += datagram.len() as u64;
                 return Some((id, Transmit::Datagram(datagram)));

@@ -165,4 +165,6 @@ pub struct WorldStats {
     pub ticks_missed: u64,
     /// Datagrams given up for lost.
     pub datagrams_lost: u64,
+    /// Times that nothing was built for a client, since older datagrams had not left yet.
+    pub held_back: u64,
 }

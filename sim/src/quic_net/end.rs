@@ -107,7 +107,12 @@ impl End {
         }
     }
 
-    /// Longest time for which a datagram waited here.
+    /// When the oldest datagram that waits was handed over.
+    pub fn queued_at(&self) -> Option<WorldTime> {
+        self.waiting.front().map(|&(since, _)| since)
+    }
+
+    /// Longest time that a datagram waited.
     pub fn waited_max(&self) -> Duration {
         self.waited_max
     }

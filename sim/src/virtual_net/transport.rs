@@ -86,6 +86,12 @@ pub(crate) trait Transport {
         Duration::ZERO
     }
 
+    /// When the oldest datagram was handed over that still waits at the end that sends in `direction`.
+    fn queued_at(&self, client: usize, direction: Direction) -> Option<WorldTime> {
+        let _ = (client, direction);
+        None
+    }
+
     /// A client's UDP datagrams and bytes so far: sent, sent bytes, received, received bytes. `None` without UDP.
     fn udp(&self, client: usize) -> Option<[u64; 4]> {
         let _ = client;

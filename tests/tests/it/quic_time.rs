@@ -154,9 +154,11 @@ fn a_narrow_path_delays_what_is_said_but_loses_no_connection() {
     // Less than they would say: quinn's windows and our own leases must cope.
     let (village, overflowed) = live(12_000);
     assert!(overflowed > 10, "{overflowed}: it was not narrow");
-    // What has to wait does so in quinn's buffer, where no newer state can take its place.
+    // The server builds nothing more while something waits in quinn's buffer, so that a pose waits for one datagram of its
+    // own tick at most; that takes its time over such a path.
     let waited = PEOPLE.map(|person| village.run.waited_max(person, Direction::Down)).max();
-    assert!(waited.is_some_and(|waited| waited < ms(10_000)), "{waited:?}");
+    assert!(village.run.world().stats().held_back > 10);
+    assert!(waited.is_some_and(|waited| waited < ms(2_000)), "{waited:?}");
 }
 
 /// Where the path carries what is said, quinn's buffers hold no pose older than two ticks.

@@ -39,7 +39,16 @@ impl VirtualRun {
     }
 
     pub(super) fn drain_world(&mut self) {
-        while let Some((id, transmit)) = self.world.poll_transmit(self.now) {
+        // As the server's shell does.
+        let half_tick = self.world.tick_period() / 2;
+        loop {
+            let (clients, transport, now) = (&self.clients, &self.transport, self.now);
+            let may_build = |id| {
+                let client = clients.iter().position(|client| client.id == id);
+                let queued_at = client.and_then(|client| transport.queued_at(client, Direction::Down));
+                queued_at.is_none_or(|at| now.since(at) < half_tick)
+            };
+            let Some((id, transmit)) = self.world.poll_transmit_where(now, may_build) else { break };
             let Some(client) = self.client_of(id) else { continue };
             match transmit {
                 Transmit::Control(bytes) => self.transport.send_control(client, Direction::Down, &bytes),
