@@ -104,12 +104,14 @@ struct Peer {
     control: mpsc::Sender<Outgoing>,
     /// When the oldest datagram was handed to QUIC that may still wait there.
     queued_at: Option<WorldTime>,
+    /// The room in QUIC's buffer when nothing waits: quinn keeps some of it for itself.
+    empty_space: usize,
 }
 
 impl Peer {
     /// Whether datagrams have waited in QUIC's buffer for `long`: its path is narrower than what is said, or was for a moment.
     fn is_backlogged(&mut self, now: WorldTime, long: Duration) -> bool {
-        if self.connection.datagram_send_buffer_space() >= DATAGRAM_BUFFER {
+        if self.connection.datagram_send_buffer_space() >= self.empty_space {
             self.queued_at = None;
         }
         self.queued_at.is_some_and(|at| now.since(at) >= long)
@@ -295,7 +297,9 @@ async fn serve(handle: Handle, incoming: quinn::Incoming) {
     let (control, outgoing) = mpsc::channel(CONTROL_QUEUE);
     let mut id = SessionId(0);
     handle.drive(|world, now| id = world.connect(now));
-    handle.lock().peers.insert(id, Peer { connection: connection.clone(), control, queued_at: None });
+    let empty_space = connection.datagram_send_buffer_space();
+    let peer = Peer { connection: connection.clone(), control, queued_at: None, empty_space };
+    handle.lock().peers.insert(id, peer);
     if let Some(limit) = connection.max_datagram_size() {
         handle.with_world(|world| world.handle_datagram_limit(id, limit));
     }

@@ -16,6 +16,9 @@ pub struct Obstacles {
     heights: [f64; 2],
 }
 
+/// Walls that are met at so flat an angle that the way to them is longer than so many half widths are felt later.
+const OBLIQUE: f64 = 4.0;
+
 /// What is stepped over, metres.
 const STEP_OVER: f64 = 0.4;
 
@@ -51,13 +54,17 @@ impl Obstacles {
         let direction = by / length;
         let mut nearest: Option<(f64, DVec3)> = None;
         for height in self.heights {
-            let hit = self.rays.first_hit(from + DVec3::Y * height, direction, 0.0, length + self.radius);
+            let hit = self.rays.first_hit(from + DVec3::Y * height, direction, 0.0, length + OBLIQUE * self.radius);
             let Some(hit) = hit else { continue };
             let [a, b, c] = self.scene.triangles()[hit.primitive as usize].corners.map(|corner| corner.as_dvec3());
             let normal = (b - a).cross(c - a).with_y(0.0).normalize_or_zero();
             // Against the step, whichever side is met; what has no side in plan stops it.
             let normal = if normal == DVec3::ZERO { -direction } else { normal * -normal.dot(direction).signum() };
-            let free = (hit.t - self.radius).max(0.0);
+            // Half a width from the wall, not along the step.
+            let free = (hit.t - self.radius / -normal.dot(direction).min(-1.0 / OBLIQUE)).max(0.0);
+            if free >= length {
+                continue;
+            }
             if nearest.is_none_or(|(known, _)| free < known) {
                 nearest = Some((free, normal));
             }
