@@ -1,6 +1,7 @@
 //! One client's side of a connection, pure: bytes and time in, bytes and beliefs out.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
 
 use eyeline_protocol::codec::{self, DatagramWriter, DecodeError};
 use eyeline_protocol::{
@@ -75,6 +76,9 @@ impl SessionConfig {
     }
 }
 
+/// No client is silent for longer.
+const SAY_SOMETHING: Duration = Duration::from_millis(500);
+
 /// What an application may want to know.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
@@ -144,6 +148,8 @@ pub struct Session {
     /// Avatars whose newest pose has not been said, by id; emptied in turn so that none is starved.
     poses_due: VecDeque<ObjectId>,
     owes_ack: bool,
+    /// When the newest datagram left.
+    said_at: Option<LocalTime>,
     /// A record that did not fit into the last datagram.
     held_back: Option<ClientRecord>,
     control: VecDeque<Vec<u8>>,
@@ -179,6 +185,7 @@ impl Session {
             poses: BTreeMap::new(),
             poses_due: VecDeque::new(),
             owes_ack: false,
+            said_at: None,
             held_back: None,
             control: VecDeque::from([codec::encode_control(&hello)]),
             events: VecDeque::new(),
@@ -214,7 +221,8 @@ impl Session {
                     welcome.classes.clone(),
                     (self.make_index)(),
                 )
-                .with_dead_reckoning(welcome.dead_reckoning_px);
+                .with_dead_reckoning(welcome.dead_reckoning_px)
+                .with_tick(Duration::from_micros(u64::from(welcome.tick_micros)));
                 self.tracker = Some(tracker);
                 self.poses = welcome.avatars.iter().map(|&(id, at, turn)| (id, (at, turn))).collect();
                 // Without a frame yet, say something: the clock needs a probe.
@@ -279,7 +287,7 @@ impl Session {
         if sent_at.is_some() && header.link.ack < self.probes_from {
             self.clock.observe_stamp(header.sent, now);
         } else if let Some(sent_at) = sent_at {
-            let hold = std::time::Duration::from_micros(u64::from(header.link.hold_micros));
+            let hold = Duration::from_micros(u64::from(header.link.hold_micros));
             // The server measured the hold with its own clock, which may run faster than ours.
             let hold = hold.mul_f64(1.0 - DRIFT);
             self.clock.observe(header.sent, now.since(sent_at).saturating_sub(hold), now);
@@ -344,8 +352,8 @@ impl Session {
             return Ahead::default();
         };
         // The greatest lately, or where round trips usually end (RFC 6298's four variations) if that is more.
-        let round_trip = self.link.round_trip().zip(self.link.round_trip_max());
-        let round_trip = round_trip.map(|(usual, greatest)| greatest.max(usual.smoothed + 4 * usual.variation));
+        let greatest = self.link.round_trip_max().unwrap_or_default();
+        let round_trip = self.link.round_trip().map(|usual| greatest.max(usual.smoothed + 4 * usual.variation));
         let mut ahead = tracker.lead.ahead(round_trip, tracker.frame, avatar.motion);
         if self.config.interest == Interest::Frustum {
             // Whose head may turn as fast as it likes looks all round.
@@ -361,6 +369,8 @@ impl Session {
         let latest = self.clock.latest(now)?;
         let shown = self.clock.smoothed(now)?.max(self.shown);
         self.shown = shown;
+        // Who says nothing for long is told nothing, and hears of nothing that it could acknowledge.
+        self.owes_ack |= self.said_at.is_none_or(|at| now.since(at) >= SAY_SOMETHING);
         self.tracker.as_mut()?.frame(latest, ahead, occlusion, now);
         Some(FrameTime { latest, shown })
     }
@@ -389,6 +399,7 @@ impl Session {
             return None;
         }
         let owed_ack = std::mem::take(&mut self.owes_ack);
+        self.said_at = Some(now);
         // The header's size hardly depends on what it says; records are gathered first, then the link is told what goes.
         let longest = LinkHeader { seq: u32::MAX, ack: u32::MAX, ack_bits: u32::MAX, hold_micros: u32::MAX };
         let mut probe = DatagramWriter::new(&ClientHeader { link: longest, frame: WorldTime::MAX }, limit);
@@ -466,12 +477,12 @@ impl Session {
     }
 
     /// Round-trip time and the greatest of the last 5 s.
-    pub fn round_trip(&self) -> Option<(std::time::Duration, std::time::Duration)> {
+    pub fn round_trip(&self) -> Option<(Duration, Duration)> {
         Some((self.link.round_trip()?.smoothed, self.link.round_trip_max()?))
     }
 
     /// After what time without an answer something is said again.
-    pub fn retry_after(&self) -> std::time::Duration {
+    pub fn retry_after(&self) -> Duration {
         self.link.timeout()
     }
 

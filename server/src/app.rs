@@ -88,12 +88,12 @@ pub struct ServeOptions {
     pub ready_file: Option<PathBuf>,
 }
 
-/// A number on the command line, held to a range.
+/// A number on the command line, held to a range; its unit may follow it.
 pub fn number(
     range: RangeInclusive<f64>,
     unit: &'static str,
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
-    move |text| match text.parse::<f64>() {
+    move |text| match text.strip_suffix(unit).unwrap_or(text).trim_end().parse::<f64>() {
         Ok(value) if range.contains(&value) => Ok(value),
         _ => Err(format!("give a number from {} to {} {unit}", range.start(), range.end())),
     }

@@ -27,6 +27,9 @@ use tokio::time::Sleep;
 use crate::virtual_net::queue::Queue;
 use crate::virtual_net::{Direction, Fate, VirtualLink};
 
+/// What a datagram under way costs besides its bytes, so that empty ones have a limit, too.
+const ENTRY_BYTES: usize = 128;
+
 /// One client.
 struct Peer {
     /// Towards the server.
@@ -162,7 +165,7 @@ impl Relay {
                 self.queue.push(now + RETRY, under_way);
                 continue;
             }
-            self.stats.queued_bytes -= bytes.len();
+            self.stats.queued_bytes -= bytes.len() + ENTRY_BYTES;
             let bytes = bytes.len() as u64;
             let way = self.stats.way(direction);
             match sent {
@@ -259,11 +262,11 @@ impl Relay {
         way.received_bytes += bytes.len() as u64;
         for fate in [Some(first), second].into_iter().flatten() {
             let Fate::Deliver(delay) = fate else { continue };
-            if self.stats.queued_bytes + bytes.len() > self.config.queued_bytes_max {
+            if self.stats.queued_bytes + bytes.len() + ENTRY_BYTES > self.config.queued_bytes_max {
                 self.stats.way(direction).dropped += 1;
                 continue;
             }
-            self.stats.queued_bytes += bytes.len();
+            self.stats.queued_bytes += bytes.len() + ENTRY_BYTES;
             self.queue.push(now + delay, UnderWay { client, direction, bytes: bytes.clone(), tries: 0 });
         }
     }

@@ -77,6 +77,8 @@ struct Entry {
     releasing: bool,
     /// After which frame its bound was made fresh last.
     freshened_in: Option<u64>,
+    /// Whether the server has said that it no longer tells of it, though it is in V.
+    is_withheld: bool,
     /// What was decided last, and when.
     decision: (Decision, WorldTime),
 }
@@ -135,6 +137,8 @@ pub struct Tracker {
     ahead: Ahead,
     /// When the server was heard of last.
     heard_at: Option<LocalTime>,
+    /// Time between the server's ticks.
+    tick: Duration,
     /// Whether that is too long ago for anything to be shown.
     is_cut_off: bool,
     /// Greatest round trip lately, for the decision whether two fit in a frame and for what silence means.
@@ -174,6 +178,7 @@ impl Tracker {
             horizon: WorldTime::MIN,
             ahead: Ahead::default(),
             heard_at: None,
+            tick: Duration::ZERO,
             is_cut_off: false,
             round_trip: None,
             timeout: Duration::from_secs(1),
@@ -184,6 +189,11 @@ impl Tracker {
     /// Takes the welcome's word for how wrong what is drawn may be.
     pub fn with_dead_reckoning(self, allowed_px: Option<f64>) -> Tracker {
         Tracker { tolerance: dead_reckoning::tolerance(allowed_px), ..self }
+    }
+
+    /// Sets the welcome's time between ticks, before which no change is told.
+    pub fn with_tick(self, tick: Duration) -> Tracker {
+        Tracker { tick, ..self }
     }
 
     /// Replaces T by an empty `index`, for instance one that knows how large the world is. What was in it is settled anew
@@ -241,6 +251,7 @@ impl Tracker {
             released_at: None,
             releasing: false,
             freshened_in: None,
+            is_withheld: false,
             decision: (Decision::Named, self.latest),
         };
         self.entries.insert(entry.object, fresh);
@@ -295,6 +306,7 @@ impl Tracker {
             self.stats.stale += 1;
             if !is_old && !self.tracking {
                 // It comes back, as a violation will say that got lost or overtaken.
+                entry.is_withheld = false;
                 entry.state = Some(state);
             }
             return;
@@ -374,7 +386,7 @@ impl Tracker {
             return;
         };
         // A server that checks may answer a question for the place with a bound: it is not for us to know.
-        let is_withheld = entry.ask.is_some_and(|ask| ask.want != Want::Bound && ask.heard);
+        let is_withheld = entry.is_withheld || entry.ask.is_some_and(|ask| ask.want != Want::Bound && ask.heard);
         let awaited = entry.releasing || is_withheld || entry.ask.is_some_and(|ask| ask.want == Want::Bound);
         let is_void =
             tbv.issue < entry.issue || tbv.issued < entry.valid_from || matches!(entry.belief, Belief::Absent);
@@ -398,6 +410,7 @@ impl Tracker {
             self.visible.remove(&object);
         }
         entry.freshened_in = Some(self.stats.frames);
+        entry.is_withheld = false;
         self.hold(object, tbv);
         // What was withheld is looked at again with the next frame: at once would be to ask as fast as the path answers.
         if let Some(occlusion) = occlusion.filter(|_| !is_withheld) {
@@ -454,6 +467,13 @@ impl Tracker {
     /// The server no longer tells of an object.
     pub fn handle_hidden(&mut self, object: ObjectId, tick: WorldTime) {
         if self.tracking {
+            // A server that checks has found it out of sight, and says with a bound where it may be from now on.
+            if let Some(entry) = self.entries.get_mut(&object)
+                && matches!(entry.belief, Belief::Visible)
+                && entry.state.is_none_or(|state| state.tick <= tick)
+            {
+                entry.is_withheld = true;
+            }
             return;
         }
         if let Some(entry) = self.entries.get_mut(&object)
@@ -525,7 +545,8 @@ impl Tracker {
     /// Tests each object of V where it may be by now.
     fn test_visible(&mut self, occlusion: &dyn Occlusion, now: LocalTime) {
         // A change would have been pushed: what was not heard of for longer than this is where it was thought to be then.
-        let silence = self.config.frame.as_secs_f64() * 2.0 + self.round_trip.unwrap_or_default().as_secs_f64();
+        let period = self.config.frame + self.config.frame.max(self.tick);
+        let silence = (period + self.round_trip.unwrap_or_default()).as_secs_f64();
         let ahead = self.ahead.time.as_secs_f64();
         self.stats.work += self.visible.len() as u64;
         for object in &self.visible {

@@ -425,6 +425,14 @@ impl Session {
                 });
                 if !is_told {
                     stats.withheld += 1;
+                    // Who draws it must not take silence for rest.
+                    if self.is_subscribed(id) {
+                        let record = ServerRecord::Hidden { object: id };
+                        match writer.push(&record) {
+                            true => records.push(record),
+                            false => drop(self.hidden_due.insert(id)),
+                        }
+                    }
                     self.bounds_due.insert(id);
                     carried.push((id, WITHHELD));
                 }

@@ -1,5 +1,7 @@
 //! The report of a measurement: error against run time first, then traffic.
 
+use std::collections::BTreeSet;
+
 use super::{MeasureConfig, MeasureRow, SweepKey, columns};
 use crate::report::{Axis, Comparison, Plot, PlotKind, Point, Report, RowError, Run, Series};
 use crate::stage::Stage;
@@ -75,7 +77,14 @@ pub fn report(
     report.headline = match swept {
         None => headline(rows),
         Some(key) => {
-            format!("{} settings of {:?} were swept. {}", rows.len(), key, key.exponents(rows).unwrap_or_default())
+            let policies = rows.iter().map(|row| row.policy.as_str()).collect::<BTreeSet<_>>().len();
+            let late: u64 = rows.iter().map(|row| row.late_over_bound).sum();
+            format!(
+                "{} values of {}, {policies} policies; {late} objects were drawn later than promised. {}",
+                rows.len() / policies.max(1),
+                key.name(),
+                key.exponents(rows).unwrap_or_default()
+            )
         }
     };
     report.compare(Comparison::new(&["policy"], "client_frame_ms", "missed_percent").by_series("policy"));

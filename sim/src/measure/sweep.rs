@@ -63,6 +63,11 @@ impl std::str::FromStr for Sweep {
 }
 
 impl SweepKey {
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        KEYS.iter().find(|&&(_, key)| key == self).map_or("", |&(name, _)| name)
+    }
+
     /// Its axis, and where a row lies on it.
     fn axis(self) -> (Axis, fn(&MeasureRow) -> f64) {
         match self {
@@ -87,7 +92,7 @@ impl SweepKey {
         let (axis, x) = self.axis();
         let traffic = |label: &str| if self.is_power() { Axis::log(label) } else { Axis::linear(label) };
         let plot = |title: &str, y_axis: Axis, is_fitted: bool, y: &dyn Fn(&MeasureRow) -> f64| {
-            let mut plot = Plot::new(title, PlotKind::Scatter, axis.clone(), y_axis);
+            let mut plot = Plot::new(title, PlotKind::Line, axis.clone(), y_axis);
             let mut fits = Vec::new();
             for policy in policies(rows) {
                 let of = rows.iter().filter(|row| row.policy == policy);
@@ -97,7 +102,7 @@ impl SweepKey {
                 }
                 plot = plot.with_series(Series::new(policy, points.iter().map(|&(x, y)| Point::new(x, y)).collect()));
             }
-            if fits.is_empty() { plot } else { plot.with_note(format!("exponents: {}", fits.join(", "))) }
+            if fits.is_empty() { plot } else { plot.with_note(format!("Exponents: {}.", fits.join(", "))) }
         };
         let is_power = self.is_power();
         vec![

@@ -152,10 +152,13 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
     let frame_ms = painter.frame.as_secs_f64() * 1e3;
     let mut episodes: BTreeMap<ObjectId, Episode> = BTreeMap::new();
     let mut place_in_burst = 0;
-    let retry = |at: WorldTime, object: ObjectId, frame: &FrameLog| {
-        // Each lost question or answer in a row is forgiven what it takes to ask again (DESIGN §3.3).
-        let lately = client_log.lost.iter().rev().take_while(|&&(lost, _)| at.since(lost) <= LOSS_WINDOW);
-        let losses = lately.filter(|&&(_, lost)| lost == object).count() as u32;
+    let retry = |began: WorldTime, object: ObjectId, frame: &FrameLog| {
+        // Each lost question or answer in a row is forgiven what it takes to ask again (DESIGN §3.3): those shortly before
+        // and since it came into view.
+        let lately = |&&(lost, of): &&(WorldTime, ObjectId)| {
+            of == object && lost <= frame.at && (lost >= began || began.since(lost) <= LOSS_WINDOW)
+        };
+        let losses = client_log.lost.iter().filter(lately).count() as u32;
         losses * (frame.retry_after + painter.frame)
     };
     for (number, frame) in client_log.frames.iter().enumerate() {
@@ -186,9 +189,8 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
             let takes = frame.round_trip_max + log.turnaround;
             let lead =
                 client_log.frames[number.saturating_sub(LEAD_FRAMES)..=number].iter().map(|f| f.ahead.time).min();
-            let has_lead = lead.is_some_and(|lead| lead >= takes + painter.frame);
-            let allowed = if has_lead { Duration::ZERO } else { takes };
-            let allowed = allowed + retry(frame.at, object, frame);
+            let has_lead = lead.is_some_and(|lead| lead >= frame.round_trip_max + painter.frame);
+            let allowed = if has_lead { log.turnaround } else { takes };
             let episode = episodes.entry(object).or_insert_with(|| Episode {
                 began: frame.at,
                 is_whole: place_in_burst > 0,
@@ -206,7 +208,8 @@ fn judge_client(painter: &Painter, log: &RunLog, client: usize, image: &mut Item
                 episode.need = frame.at + allowed;
             }
             // The first frame at or after `need` must show it: a round trip, a turnaround, and the wait for a frame.
-            let is_due = frame.at >= episode.need && (has_lead && episode.is_whole || !is_new);
+            let is_due = frame.at >= episode.need + retry(episode.began, object, frame)
+                && (has_lead && episode.is_whole || !is_new);
             if !is_drawn && !episode.is_drawn && !episode.is_late && is_due {
                 if painter.is_borne_out(image, &view, commit, client_log.avatar, object) {
                     episode.is_late = true;

@@ -170,7 +170,7 @@ impl Walker {
             left_s -= distance / self.speed;
         }
         self.walked_s += dt_s;
-        self.yaw = turn_toward(self.yaw, self.wanted_yaw(), TURN_RATE * dt_s);
+        self.yaw = turn_toward(self.yaw, self.wanted_yaw(), TURN_RATE.min(self.avatar.turn_max) * dt_s);
         self.pose()
     }
 

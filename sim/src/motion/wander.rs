@@ -22,6 +22,8 @@ const RESTS_S: (f64, f64) = (0.2, 1.5);
 pub struct Wanderer {
     feet: DVec3,
     eye_height: f64,
+    /// No faster than an avatar may, radians a second.
+    turn_max: f64,
     chance: rand_pcg::Pcg64,
     yaw: f64,
     wanted: f64,
@@ -38,7 +40,8 @@ impl Wanderer {
         let mut chance = chance(seed, 6 + number as u64);
         let yaw = chance.random_range(-PI..PI);
         let rest_s = chance.random_range(0.0..RESTS_S.1);
-        Some(Wanderer { feet, eye_height: avatar.eye_height, chance, yaw, wanted: yaw, rate: 0.0, rest_s })
+        let turn_max = avatar.turn_max;
+        Some(Wanderer { feet, eye_height: avatar.eye_height, turn_max, chance, yaw, wanted: yaw, rate: 0.0, rest_s })
     }
 
     /// Looks around for `dt_s` seconds. Not a positive number: nothing happens; more than 10 counts as 10.
@@ -50,7 +53,7 @@ impl Wanderer {
             self.rest_s -= dt_s;
         } else if dt_s > 0.0 {
             self.wanted = self.chance.random_range(-PI..PI);
-            self.rate = self.chance.random_range(TURN_RATES.0..TURN_RATES.1);
+            self.rate = self.chance.random_range(TURN_RATES.0..TURN_RATES.1).min(self.turn_max);
             self.rest_s = self.chance.random_range(RESTS_S.0..RESTS_S.1);
         }
         self.pose()
