@@ -259,7 +259,7 @@ fn spec(walls: &Walls, chance: &mut Pcg64, carts: usize) -> WorldSpec {
         .map(|i| {
             let points: Vec<[f64; 3]> =
                 (0..chance.random_range(2..5)).map(|_| free_place(walls, chance, HALF).to_array()).collect();
-            let path = PathSpec {
+            let mut path = PathSpec {
                 speed: chance.random_range(0.3..2.0),
                 pause: chance.random_range(0.0..2.0),
                 phase: chance.random_range(0.0..1.0),
@@ -267,6 +267,10 @@ fn spec(walls: &Walls, chance: &mut Pcg64, carts: usize) -> WorldSpec {
                 wobble_per_metre: 1.0,
                 points,
             };
+            if path.wobble > 0.0 {
+                // With its swing it must keep within its class's speed.
+                path.speed = path.speed.min(1.8);
+            }
             let position = path.points[0];
             ObjectSpec {
                 name: format!("cart {i}"),
