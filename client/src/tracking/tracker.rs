@@ -137,10 +137,10 @@ pub struct Tracker {
     ahead: Ahead,
     /// When the server was heard of last.
     heard_at: Option<LocalTime>,
-    /// Time between the server's ticks.
-    tick: Duration,
     /// Whether that is too long ago for anything to be shown.
     is_cut_off: bool,
+    /// Time between the server's ticks.
+    tick: Duration,
     /// Greatest round trip lately, for the decision whether two fit in a frame and for what silence means.
     round_trip: Option<Duration>,
     timeout: Duration,
@@ -306,7 +306,6 @@ impl Tracker {
             self.stats.stale += 1;
             if !is_old && !self.tracking {
                 // It comes back, as a violation will say that got lost or overtaken.
-                entry.is_withheld = false;
                 entry.state = Some(state);
             }
             return;
@@ -318,6 +317,7 @@ impl Tracker {
         {
             self.stats.broken_bounds += 1;
         }
+        entry.is_withheld = false;
         entry.state = Some(state);
         let awaited = entry.ask.is_some_and(|ask| ask.want != Want::Bound);
         let is_place = entry.ask.is_some_and(|ask| ask.want == Want::Place && ask.heard);
