@@ -44,30 +44,32 @@ pub struct Case {
 /// # Errors
 /// If the network or the disk does not let it.
 pub fn measure_all(case: &Case, policies: &[&str], out: &Path, title: &str) -> anyhow::Result<String> {
-    measure_sweep(policies, None, &[String::new()], |_| Ok(None), case, out, title)
+    measure_sweep(policies, None, case, std::iter::empty(), out, title)
 }
 
-/// The same for each value of a sweep. `case_of` makes the case of a value; `None` stands for `first`.
+/// The same for each value of a sweep: the `first`, and the `rest` one after the other.
 ///
 /// # Errors
 /// If the network or the disk does not let it.
 pub fn measure_sweep(
     policies: &[&str],
     key: Option<SweepKey>,
-    values: &[String],
-    mut case_of: impl FnMut(&str) -> anyhow::Result<Option<Case>>,
     first: &Case,
+    rest: impl Iterator<Item = anyhow::Result<Case>>,
     out: &Path,
     title: &str,
 ) -> anyhow::Result<String> {
     let (began, started) = (Instant::now(), rfc3339(SystemTime::now()));
     let mut rows = Vec::new();
-    for value in values {
-        let own = case_of(value)?;
-        let case = own.as_ref().unwrap_or(first);
+    let mut measure = |case: &Case| -> anyhow::Result<()> {
         for policy in policies {
             rows.push(measure::measure(&case.stage, case.crowd.as_ref(), &case.config, &case.net, policy)?);
         }
+        Ok(())
+    };
+    measure(first)?;
+    for case in rest {
+        measure(&case?)?;
     }
     let mut run = Run::here(title, Some(first.config.seed), started);
     run.wall_seconds = began.elapsed().as_secs_f64();

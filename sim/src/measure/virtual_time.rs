@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use eyeline_client::net::Driver;
 use eyeline_client::session::{FrameTime, Session, SessionConfig};
 use eyeline_client::tracking::{Ahead, TrackerStats};
-use eyeline_protocol::{ClientRecord, LocalTime, ObjectId, Role, ServerRecord, WorldTime, codec};
+use eyeline_protocol::{LocalTime, ObjectId, Role, WorldTime, codec};
 use eyeline_server::world::World;
 use eyeline_visibility::{DynamicOctree, Occlusion};
 use glam::DVec3;
@@ -212,32 +212,6 @@ impl ClientDriver for Acting {
     }
 }
 
-/// The objects that a datagram's records are about, poses apart.
-fn spoken_of(message: &Passing<'_>) -> Vec<ObjectId> {
-    match message.direction {
-        Direction::Up => {
-            let records = codec::decode_client_datagram(message.bytes).map_or(Vec::new(), |(_, records)| records);
-            let object = |record: ClientRecord| match record {
-                ClientRecord::Pose { .. } => None,
-                ClientRecord::Request { object, .. }
-                | ClientRecord::Release { object, .. }
-                | ClientRecord::ViolationAck { object, .. } => Some(object),
-            };
-            records.into_iter().filter_map(object).collect()
-        }
-        Direction::Down => {
-            let records = codec::decode_server_datagram(message.bytes).map_or(Vec::new(), |(_, records)| records);
-            let object = |record: ServerRecord| match record {
-                ServerRecord::State { object, .. }
-                | ServerRecord::Bound { object, .. }
-                | ServerRecord::Violation { object, .. }
-                | ServerRecord::Hidden { object } => object,
-            };
-            records.into_iter().map(object).collect()
-        }
-    }
-}
-
 /// Notes what a real run's recorders note.
 struct Recorder<'a> {
     config: &'a MeasureConfig,
@@ -293,8 +267,8 @@ impl Observer for Recorder<'_> {
 
     fn lost(&mut self, message: &Passing<'_>) {
         if let Some(watcher) = self.watcher(message.client).filter(|_| message.kind == Kind::Datagram) {
-            let objects = spoken_of(message);
-            self.clients[watcher].lost.extend(objects.into_iter().map(|object| (message.at, object)));
+            let objects = message.spoken_of().into_iter().map(|object| (message.at, object));
+            self.clients[watcher].lost.extend(objects);
         }
     }
 

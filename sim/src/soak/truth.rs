@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use eyeline_client::session::Session;
-use eyeline_protocol::{ClientRecord, Issue, ObjectId, ServerRecord, WorldTime, codec};
+use eyeline_protocol::{Issue, ObjectId, WorldTime};
 use eyeline_server::world::{Object, World};
 use eyeline_visibility::{Aabb, Bound};
 use glam::DVec3;
@@ -187,29 +187,11 @@ impl Truth {
 
     fn note_lost(&mut self, message: &Passing<'_>) {
         let Some(watcher) = self.watchers.get_mut(&message.client) else { return };
-        let mut note = |object| watcher.lost.entry(object).or_default().push_back(message.at);
-        match (message.kind, message.direction) {
-            (Kind::Datagram, Direction::Up) => {
-                for record in codec::decode_client_datagram(message.bytes).map_or(Vec::new(), |(_, records)| records) {
-                    match record {
-                        ClientRecord::Pose { .. } => {}
-                        ClientRecord::Request { object, .. }
-                        | ClientRecord::Release { object, .. }
-                        | ClientRecord::ViolationAck { object, .. } => note(object),
-                    }
-                }
-            }
-            (Kind::Datagram, Direction::Down) => {
-                for record in codec::decode_server_datagram(message.bytes).map_or(Vec::new(), |(_, records)| records) {
-                    match record {
-                        ServerRecord::State { object, .. }
-                        | ServerRecord::Bound { object, .. }
-                        | ServerRecord::Violation { object, .. }
-                        | ServerRecord::Hidden { object } => note(object),
-                    }
-                }
-            }
-            (Kind::Control, _) => watcher.lost_control.push_back(message.at),
+        if message.kind == Kind::Control {
+            return watcher.lost_control.push_back(message.at);
+        }
+        for object in message.spoken_of() {
+            watcher.lost.entry(object).or_default().push_back(message.at);
         }
     }
 

@@ -439,19 +439,9 @@ pub fn run(options: &Measure) -> anyhow::Result<()> {
             // Each value is looked at before hours go into the first.
             let all: Vec<Measure> = values.iter().map(|value| swept(options, *key, value)).collect::<Result<_, _>>()?;
             let first = prepare(&all[0])?;
-            let mut next = all.iter().enumerate();
-            // The first is prepared already.
-            let case_of =
-                |_: &str| next.next().filter(|&(i, _)| i > 0).map(|(_, options)| prepare(options)).transpose();
-            demo::measure_sweep(
-                &policies,
-                Some(*key),
-                values,
-                case_of,
-                &first,
-                &options.out,
-                "Eyeline measure: a sweep",
-            )?
+            let rest = all[1..].iter().map(prepare);
+            let title = "Eyeline measure: a sweep";
+            demo::measure_sweep(&policies, Some(*key), &first, rest, &options.out, title)?
         }
     };
     super::print(&text);

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use eyeline_client::session::{FrameTime, Session};
-use eyeline_protocol::WorldTime;
+use eyeline_protocol::{ClientRecord, ObjectId, ServerRecord, WorldTime, codec};
 use eyeline_server::world::World;
 use glam::DVec3;
 
@@ -22,6 +22,34 @@ pub struct Passing<'a> {
     pub bytes: &'a [u8],
     /// True world time: of sending for an interceptor, of arrival or loss for an observer.
     pub at: WorldTime,
+}
+
+impl Passing<'_> {
+    /// The objects that a datagram's records are about, poses apart, in order; none if its bytes make no sense.
+    pub fn spoken_of(&self) -> Vec<ObjectId> {
+        match self.direction {
+            Direction::Up => {
+                let records = codec::decode_client_datagram(self.bytes).map_or(Vec::new(), |(_, records)| records);
+                let object = |record: ClientRecord| match record {
+                    ClientRecord::Pose { .. } => None,
+                    ClientRecord::Request { object, .. }
+                    | ClientRecord::Release { object, .. }
+                    | ClientRecord::ViolationAck { object, .. } => Some(object),
+                };
+                records.into_iter().filter_map(object).collect()
+            }
+            Direction::Down => {
+                let records = codec::decode_server_datagram(self.bytes).map_or(Vec::new(), |(_, records)| records);
+                let object = |record: ServerRecord| match record {
+                    ServerRecord::State { object, .. }
+                    | ServerRecord::Bound { object, .. }
+                    | ServerRecord::Violation { object, .. }
+                    | ServerRecord::Hidden { object } => object,
+                };
+                records.into_iter().map(object).collect()
+            }
+        }
+    }
 }
 
 /// What an interceptor decides about a datagram.
