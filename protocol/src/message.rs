@@ -45,7 +45,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    ClassId, ClientEntry, ClientId, Command, Extent, Hold, Issue, LinkHeader, MotionBound, ObjectId, Orientation,
+    ClassId, ClientEntry, ClientId, Command, Continuity, Extent, Hold, Issue, LinkHeader, MotionBound, ObjectId, Orientation,
     Position, Rank, Resume, Tbv, Velocity, WorldTime,
 };
 use crate::{QUANTUM_METRES, untrusted};
@@ -206,8 +206,8 @@ pub struct Welcome {
     pub resume: [u8; 16],
     /// For how long its avatars then wait for it, milliseconds; 0 if they don't.
     pub grace_millis: u32,
-    /// Whether it has come back: the avatars are those it had, and if it holds the roster, none follows.
-    pub resumed: bool,
+    /// Whether it has come back.
+    pub continuity: Continuity,
 }
 
 /// One object that exists. Says nothing of where it is beyond `bound`.
