@@ -109,6 +109,9 @@ fn hello(config: &SessionConfig, resume: Option<Resume>) -> ClientControl {
     }
 }
 
+/// Events that nobody polls go once there are more.
+const EVENTS_MAX: usize = 4096;
+
 /// No client is silent for longer.
 const SAY_SOMETHING: Duration = Duration::from_millis(500);
 
@@ -263,6 +266,9 @@ impl Session {
 
     /// One control message, without its length prefix.
     pub fn handle_control(&mut self, bytes: &[u8]) {
+        while self.events.len() > EVENTS_MAX {
+            self.events.pop_front();
+        }
         match codec::decode_server_control(bytes) {
             Err(error) => self.events.push_back(Event::ServerFault(error)),
             Ok(ServerControl::Welcome(welcome)) => {
@@ -520,6 +526,8 @@ impl Session {
         tracker.frame(latest, ahead, occlusion, now);
         if self.config.watch {
             let tick = self.welcome.as_ref().map_or(0, |welcome| welcome.tick_micros);
+            let excess = self.events.len().saturating_sub(EVENTS_MAX);
+            self.events.drain(..excess);
             self.watch.frame(tracker, Duration::from_micros(u64::from(tick)), &mut self.events);
         }
         Some(FrameTime { latest, shown })
@@ -603,9 +611,15 @@ impl Session {
         Some(writer.finish())
     }
 
-    /// The next event.
+    /// The next event. More than 4,096 are not kept: the oldest go.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.events.pop_front()
+    }
+
+    /// The next event after which there is nothing more to come over this connection. Leaves all others.
+    pub fn poll_fault(&mut self) -> Option<Event> {
+        let is_fault = |event: &Event| matches!(event, Event::Refused { .. } | Event::ServerFault(_));
+        self.events.remove(self.events.iter().position(is_fault)?)
     }
 
     /// What the server said at the beginning.

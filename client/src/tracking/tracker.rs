@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use eyeline_protocol::{
     Class, ClientRecord, Issue, LocalTime, ObjectId, Orientation, Position, Prediction as State, Reason, RosterEntry,
-    Tbv, Want, WorldTime,
+    Tbv, Velocity, Want, WorldTime,
 };
 use eyeline_visibility::{Bound, DynamicIndex, Occlusion};
 use glam::DVec3;

@@ -192,7 +192,8 @@ impl World {
             return self.deny(id, Refusal::Protocol, "an actor drives at least one avatar");
         }
         if wanted > 0 && permit.rank < Rank::Actor {
-            let reason = "this token lets its bearer look only (rank viewer); come as a viewer, or ask for an actor's token";
+            let reason =
+                "this token lets its bearer look only (rank viewer); come as a viewer, or ask for an actor's token";
             return self.deny(id, Refusal::Token, reason);
         }
         if wanted > usize::from(permit.avatars_max) {

@@ -22,18 +22,17 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use eyeline_protocol::{
-    CLASSES_MAX, Class, ClassId, ClientControl, ClientRecord, Extent, LocalTime, MotionBound,
-    NAME_BYTES_MAX, ObjectId, Orientation, Position, QUANTUM_METRES, Refusal, Want, WireTbv, WorldInfo,
-    WorldTime, codec,
+    CLASSES_MAX, Class, ClassId, ClientControl, ClientRecord, Extent, LocalTime, MotionBound, NAME_BYTES_MAX, ObjectId,
+    Orientation, Position, QUANTUM_METRES, Refusal, Want, WireTbv, WorldInfo, WorldTime, codec,
 };
 use glam::DVec3;
 
-pub use config::{WorldConfig, WorldError};
 use admission::{Announcements, Hello};
+pub use config::{WorldConfig, WorldError};
 pub use object::Object;
 pub(crate) use object::present;
-pub use people::WorldEvent;
 use people::Events;
+pub use people::WorldEvent;
 use session::{Moment, OwnEye, Phase, Session};
 pub use stats::{MessageCounts, WorldStats};
 
