@@ -47,7 +47,7 @@ enum Verb {
 enum Config {
     /// Prints each effective setting and where it comes from; takes the flags that the server would be given
     Print(Print),
-    /// Says what is wrong with the settings and the files that they name
+    /// Says what is wrong with the settings and the files that they name; takes the flags that the server would be given
     Check(Check),
     /// Prints a file with every setting, its default and what it means
     Example,
@@ -66,6 +66,9 @@ struct Check {
     /// The file of settings [default: eyeline-server.toml in the current folder, if it is there]
     #[arg(value_name = "FILE")]
     file: Option<PathBuf>,
+
+    #[command(flatten)]
+    server: Flags<ServerOptions>,
 }
 
 const EXAMPLES: &str = "Examples:
@@ -115,10 +118,9 @@ fn serve(flags: &Flags<ServerOptions>) -> anyhow::Result<()> {
 
 /// All that is wrong, a line each.
 fn check_settings(check: &Check) -> anyhow::Result<()> {
-    let flags = Flags::<ServerOptions>::none();
     let flags = match &check.file {
-        Some(file) => flags.with_file(file),
-        None => flags,
+        Some(file) => check.server.clone().with_file(file),
+        None => check.server.clone(),
     };
     let problems = match flags.load(&[]) {
         Ok(loaded) => eyeline_server::config::check::problems(&loaded),
@@ -129,7 +131,7 @@ fn check_settings(check: &Check) -> anyhow::Result<()> {
         return Ok(());
     }
     say(&problems.iter().map(|problem| format!("{problem}\n")).collect::<String>());
-    anyhow::bail!("{} settings are wrong", problems.len());
+    anyhow::bail!("the settings have so many problems: {}", problems.len());
 }
 
 fn say(text: &str) {

@@ -9,7 +9,7 @@ use config::{ConfigError, Map, Source, Value, ValueKind};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::{Setting, is_list, short};
+use super::{Setting, is_bare, is_list, short};
 
 /// Variables of the environment begin so.
 pub const PREFIX: &str = "EYELINE_";
@@ -146,15 +146,21 @@ impl Reader<'_> {
             let known = self.keys.iter().find(|known| known.get_id().as_str() == key).copied();
             match (known, value.get_ref()) {
                 (_, DeValue::Table(table)) if is_section => self.table(&section, table),
-                (Some(known), value) => match values(value, is_list(known)) {
+                (Some(known), value) => match values(value, known) {
                     Ok(values) => self.given.push(Given::new(known, &place, values)),
-                    Err(remedy) => self.problems.push(format!("{place}: {key} is {}: {remedy}", value.type_str())),
+                    Err(remedy) => self
+                        .problems
+                        .push(format!("{place}: {key} is not to be of the kind {}: {remedy}", value.type_str())),
                 },
                 (None, _) if is_section => {
                     self.problems.push(format!("{place}: {key} is a section: write [{key}], and its keys below"));
                 }
                 (None, _) => {
-                    let remedy = remedy(&key, self.keys, str::to_owned);
+                    let name = |known: &str| match self.keys.iter().any(|key| key.get_id() == known) {
+                        true => known.to_owned(),
+                        false => format!("[{known}]"),
+                    };
+                    let remedy = remedy(&key, self.keys, name);
                     self.problems.push(format!("{place}: there is no key '{}'; {remedy}", short(&key)));
                 }
             }
@@ -163,25 +169,27 @@ impl Reader<'_> {
 }
 
 /// The texts of a value.
-fn values(value: &DeValue<'_>, is_list: bool) -> Result<Vec<String>, String> {
+fn values(value: &DeValue<'_>, key: &Arg) -> Result<Vec<String>, &'static str> {
+    let is_bare = is_bare(key.get_value_parser());
     let scalar = |value: &DeValue<'_>| match value {
         DeValue::String(text) => Some(text.to_string()),
-        DeValue::Integer(number) => match i128::from_str_radix(number.as_str(), number.radix()) {
+        DeValue::Integer(number) if is_bare => match i128::from_str_radix(number.as_str(), number.radix()) {
             Ok(number) => Some(number.to_string()),
             // Out of every range; its parser says which.
             Err(_) => Some(number.as_str().to_owned()),
         },
-        DeValue::Float(number) => Some(number.as_str().to_owned()),
-        DeValue::Boolean(value) => Some(value.to_string()),
-        DeValue::Datetime(_) | DeValue::Array(_) | DeValue::Table(_) => None,
+        DeValue::Float(number) if is_bare => Some(number.as_str().to_owned()),
+        DeValue::Boolean(value) if is_bare => Some(value.to_string()),
+        _ => None,
     };
-    if let (true, DeValue::Array(items)) = (is_list, value) {
+    if let (true, DeValue::Array(items)) = (is_list(key), value) {
         let texts = items.iter().map(Spanned::get_ref).map(scalar).collect::<Option<Vec<_>>>();
-        return texts.ok_or_else(|| "give a list of texts, as in [\"a\", \"b\"]".to_owned());
+        return texts.ok_or("give a list of texts, as in [\"a\", \"b\"]");
     }
-    scalar(value).map(|text| vec![text]).ok_or_else(|| match is_list {
-        true => "give a text, or a list of texts as in [\"a\", \"b\"]".to_owned(),
-        false => "give one value, in quotes if it is a text".to_owned(),
+    scalar(value).map(|text| vec![text]).ok_or(match (is_list(key), is_bare) {
+        (true, _) => "give a text, or a list of texts as in [\"a\", \"b\"]",
+        (false, true) => "give one value",
+        (false, false) => "give a text in quotes",
     })
 }
 
@@ -200,7 +208,7 @@ pub(super) fn environment(
         let Some(key) = keys.iter().find(|key| variable(key.get_id().as_str()) == name) else {
             let written = name.trim_start_matches(PREFIX).to_lowercase().replace("__", ".");
             let remedy = remedy(&written, keys, variable);
-            problems.push(format!("environment: {} means nothing to the server; {remedy}, or unset it", short(name)));
+            problems.push(format!("environment: {} means nothing to the server; {remedy} Else unset it", short(name)));
             continue;
         };
         let Some(value) = value.to_str() else {
@@ -213,8 +221,6 @@ pub(super) fn environment(
         };
         given.push(Given::new(key, name, values));
     }
-    // The environment has no order; messages should.
-    problems.sort();
     Layer::of(given.into_iter())
 }
 
@@ -239,6 +245,6 @@ fn remedy(written: &str, keys: &[&Arg], name: impl Fn(&str) -> String) -> String
     let nearest = known.map(|known| (likeness(known), known)).max_by(|a, b| a.0.total_cmp(&b.0));
     match nearest {
         Some((likeness, known)) if likeness > 0.75 => format!("did you mean {}?", name(known)),
-        _ => "`eyeline-server config example` lists them all".to_owned(),
+        _ => "`eyeline-server config example` lists them all.".to_owned(),
     }
 }

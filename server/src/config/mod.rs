@@ -171,6 +171,8 @@ impl<T: Args> Flags<T> {
             builder = builder.add_source(layer);
         }
         if !problems.is_empty() {
+            // Tables and the environment have no order; messages follow the file's lines.
+            problems.sort_by_key(|problem| (line(problem, file.as_deref()), problem.clone()));
             return Err(ConfigError { problems });
         }
         let broken = |error: &dyn std::fmt::Display| ConfigError { problems: vec![error.to_string()] };
@@ -231,6 +233,13 @@ fn check(command: &Command, given: &Given, problems: &mut Vec<String>) {
     }
 }
 
+/// The line of the file that a problem is about; after all lines if it is about none.
+fn line(problem: &str, file: Option<&Path>) -> usize {
+    let after = file.and_then(|file| problem.strip_prefix(&format!("{}:", file.display())));
+    let digits = after.and_then(|after| after.split(':').next());
+    digits.and_then(|digits| digits.parse().ok()).unwrap_or(usize::MAX)
+}
+
 /// Why a value is refused, if it is for its own sake and not for the lack of another.
 fn reason(error: &clap::Error) -> Option<String> {
     use clap::error::ErrorKind;
@@ -254,3 +263,6 @@ fn short(value: &str) -> String {
     let is_long = value.chars().count() > 80;
     if is_long { value.chars().take(80).chain("…".chars()).collect() } else { value.to_owned() }
 }
+
+#[cfg(test)]
+mod tests;

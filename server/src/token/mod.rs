@@ -418,7 +418,7 @@ mod tests {
         let cases = [
             (r#""role":"actor""#, r#""role":"king""#, "role = 'king'"),
             (r#""avatars":1"#, r#""avatars":4097"#, "4097"),
-            (r#""avatars":1"#, r#""avatars":-1"#, "avatars"),
+            (r#""avatars":1"#, r#""avatars":-1"#, "expected u16"),
             ("2026-01-01T01:00:00Z", "tomorrow", "exp = 'tomorrow'"),
             ("2026-01-01T00:00:00Z", "9", "iat = '9'"),
             (r#""sub":"anna","#, "", "sub"),
