@@ -122,3 +122,23 @@ pub(super) fn reason(until: WorldTime) -> String {
     let when = if until < FOREVER { format!(" before {}", calendar(until)) } else { String::new() };
     format!("you are not let in{when}; ask who runs this server")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_list_is_bounded_and_the_ban_that_ends_first_goes_first() {
+        let mut bans = Bans::default();
+        let at = |index: usize| WorldTime::from_micros(1 + index as i64);
+        for index in 0..BANS_MAX + 10 {
+            bans.add(&format!("{index}"), None, at(index));
+        }
+        assert_eq!(bans.until.len(), BANS_MAX);
+        assert_eq!(bans.until("9", None, WorldTime::ZERO), None);
+        assert_eq!(bans.until("10", None, WorldTime::ZERO), Some(at(10)));
+        // A shorter ban does not shorten one.
+        bans.add("10", None, at(3));
+        assert_eq!(bans.until("10", None, WorldTime::ZERO), Some(at(10)));
+    }
+}

@@ -336,4 +336,25 @@ mod tests {
         assert_eq!(fingerprint(), fingerprint());
         assert_ne!(Identity::ephemeral().unwrap().fingerprint(), fingerprint());
     }
+
+    #[test]
+    fn new_files_are_shown_and_bad_ones_keep_the_old_certificate() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let mut identity = Identity::load_or_create(folder.path()).unwrap();
+        let first = identity.fingerprint();
+        let mut reloader = identity.reloader().unwrap();
+        assert!(!reloader.look());
+        let (certificate, key) = make().unwrap();
+        // Only one of the two has been exchanged so far.
+        std::fs::write(folder.path().join("certificate.pem"), certificate.pem()).unwrap();
+        assert!(!reloader.look());
+        assert_eq!(identity.fingerprint(), first);
+        std::fs::write(folder.path().join("key.pem"), key.serialize_pem()).unwrap();
+        assert!(reloader.look());
+        assert_eq!(identity.fingerprint(), sha256(certificate.der()));
+        std::fs::remove_file(folder.path().join("key.pem")).unwrap();
+        assert!(!reloader.look());
+        assert_eq!(identity.fingerprint(), sha256(certificate.der()));
+        assert!(Identity::ephemeral().unwrap().reloader().is_none());
+    }
 }

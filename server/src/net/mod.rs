@@ -471,3 +471,6 @@ pub fn socket(address: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
     socket.bind(&address.into())?;
     Ok(socket.into())
 }
+
+#[cfg(test)]
+mod wrong_tests;
