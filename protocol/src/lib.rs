@@ -70,7 +70,7 @@ pub use message::{
     ServerHeader, ServerRecord, Want, Welcome, WireTbv, WorldInfo,
 };
 pub use motion::{Extent, MotionBound};
-pub use people::{ClientEntry, Command, Hold, PAYLOAD_BYTES_MAX, Rank, Resume, TEXT_BYTES_MAX};
+pub use people::{ClientEntry, Command, Continuity, Hold, PAYLOAD_BYTES_MAX, Rank, Resume, TEXT_BYTES_MAX};
 pub use position::{METRES_MAX, Orientation, OutOfRange, Position, QUANTUM_METRES};
 pub use tbv::Tbv;
 pub use time::{LocalTime, WorldTime};

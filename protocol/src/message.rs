@@ -25,7 +25,7 @@
 //!   position orientation          12 4
 //!
 //! control, client to server       bytes          control, server to client       bytes
-//! 0 Hello                         at most 1,320  0 Welcome                       19 an avatar, 50..315 a class
+//! 0 Hello                         at most 1,321  0 Welcome                       19 an avatar, 50..315 a class
 //! 1 WorldWanted                   1              1 Refused                       the reason's length and 3 or more
 //! 2 Place                         17             2 Roster                        9..566 an entry
 //!   object position present       3 12 1         3 Left                          3 an object
@@ -34,7 +34,7 @@
 //! 5 LetGo                         4              5 Payload                       its length and 5 or more
 //! 6 Payload                       5..1,031         object bytes                  3 1..1,027
 //!   object bytes                  3 1..1,027     6 Said                          the text's length and 2 or more
-//! 7 Command                       2..1,037       7 Clients                       10..530 an entry
+//! 7 Command                       2..1,037       7 Clients                       10..537 an entry
 //!                                                8 Done                          the text's length and 3 or more
 //! ```
 //!
@@ -45,8 +45,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    ClassId, ClientEntry, ClientId, Command, Extent, Hold, Issue, LinkHeader, MotionBound, ObjectId, Orientation,
-    Position, Rank, Resume, Tbv, Velocity, WorldTime,
+    ClassId, ClientEntry, ClientId, Command, Continuity, Extent, Hold, Issue, LinkHeader, MotionBound, ObjectId,
+    Orientation, Position, Rank, Resume, Tbv, Velocity, WorldTime,
 };
 use crate::{QUANTUM_METRES, untrusted};
 
@@ -206,8 +206,8 @@ pub struct Welcome {
     pub resume: [u8; 16],
     /// For how long its avatars then wait for it, milliseconds; 0 if they don't.
     pub grace_millis: u32,
-    /// Whether it has come back: the avatars are those it had, and if it holds the roster, none follows.
-    pub resumed: bool,
+    /// Whether it has come back.
+    pub continuity: Continuity,
 }
 
 /// One object that exists. Says nothing of where it is beyond `bound`.

@@ -47,8 +47,20 @@ impl std::fmt::Display for Rank {
 pub struct Resume {
     /// What the last welcome gave it. Good once: the next welcome gives another.
     pub token: [u8; 16],
-    /// Whether it still has the roster and its bounds. Then it is told neither again, only what was broken meanwhile.
-    pub holds: bool,
+    /// If it still has the roster and its bounds: how many messages of [`crate::ServerControl::Roster`] and
+    /// [`crate::ServerControl::Left`] it has had since it was told everything. Then it is told only what it missed.
+    pub heard: Option<u32>,
+}
+
+/// How a welcome goes on from what was before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Continuity {
+    /// Nothing was, or it is forgotten: new avatars, and the roster follows.
+    New,
+    /// The avatars are those it had; the roster follows.
+    Returned,
+    /// So are its roster and bounds; of these only what it missed follows.
+    Kept,
 }
 
 /// What an operator wants.
