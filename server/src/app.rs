@@ -39,6 +39,7 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         .with_grid_seed(grid_seed)
         .with_dead_reckoning_px(options.dead_reckoning)
         .with_bytes_per_second(options.bytes_per_second)
+        .with_resume_grace(Duration::from_secs_f64(options.resume_seconds))
         .with_avatars_max(options.max_avatars as usize);
     let clock = WorldClock::starting_at(unix_time());
     let mut settings = PolicySettings::default().with_radius(options.radius).with_cell(options.cell);
@@ -50,6 +51,7 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         let audit = model.audit(world.classes());
         world.set_audit(audit);
     }
+    world.set_gate(Box::new(options.gate.gate()?));
     let mut identity = options.certificate()?;
     let reloader = identity.reloader();
     let fingerprint = identity.fingerprint_hex();

@@ -99,6 +99,10 @@ pub struct ServeOptions {
     #[arg(long, value_name = "N", value_parser = whole::<u32>(1000..=u64::from(u32::MAX)))]
     pub bytes_per_second: Option<u32>,
 
+    /// For how long the avatars of a client whose connection was lost wait for it, seconds; 0 does without
+    #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = number(0.0..=3600.0, "s"))]
+    pub resume_seconds: f64,
+
     /// Once listening, write the address and the fingerprint into this file, a line each, for scripts and
     /// `--server-file`; it is removed at the end
     #[arg(long, value_name = "FILE")]
