@@ -39,7 +39,7 @@ pub struct Target {
     pub ca: Option<PathBuf>,
 
     /// With --ca, the name that the server's certificate is for [default: the host of --connect]
-    #[arg(long, value_name = "NAME", requires = "ca")]
+    #[arg(long, value_name = "NAME", requires = "ca", conflicts_with = "fingerprint")]
     pub server_name: Option<String>,
 
     /// Instead of both, the file that the server wrote with --ready-file; waited for up to 30 s

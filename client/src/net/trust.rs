@@ -100,6 +100,7 @@ impl Trust {
 pub(super) fn remedy(reason: &str) -> &'static str {
     let remedies = [
         ("UnknownIssuer", "; no authority in --ca has signed it: give the right one, or pin it with --fingerprint"),
+        ("BadSignature", "; an authority of the same name as one in --ca has signed it: give the right one"),
         ("not valid for name", "; give the name that it is for with --server-name"),
         ("NotValidForName", "; give the name that it is for with --server-name"),
         ("expired", "; the server's owner has to renew it, or our clock is wrong"),
