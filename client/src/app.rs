@@ -1,18 +1,17 @@
 //! The `eyeline-client` command: options, what it prints, and how it ends.
 
 use std::io::{IsTerminal as _, Write as _};
-use std::net::{SocketAddr, ToSocketAddrs};
 use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::path::PathBuf;
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use eyeline_protocol::TOKEN_BYTES_MAX;
 use eyeline_visibility::{Aabb, DynamicOctree};
 
-use crate::net::{Endpoint, Fingerprint, LocalClock, ModelSource, Onlooker, Trust, run_headless};
+use crate::net::{LocalClock, ModelSource, Onlooker, run_resuming};
 use crate::session::{Session, SessionConfig, SessionStats};
+pub use crate::target::Target;
 use crate::tracking::TrackerConfig;
 
 /// What the client can do.
@@ -21,135 +20,9 @@ pub enum Command {
     /// Join a world without a window: stand, turn, track, and print a line a second
     #[command(after_long_help = HEADLESS_EXAMPLES)]
     Headless(Headless),
-}
-
-/// Which server.
-#[derive(Args, Clone, Debug)]
-pub struct Target {
-    /// Address of the server, HOST:PORT
-    #[arg(long, value_name = "HOST:PORT", required_unless_present = "server_file", requires = "trust")]
-    pub connect: Option<String>,
-
-    /// SHA-256 of the server's certificate, 64 hexadecimal digits: the server prints it when it starts
-    #[arg(long, value_name = "HEX", requires = "connect", group = "trust")]
-    pub fingerprint: Option<Fingerprint>,
-
-    /// Instead, a PEM file with the certificates of authorities: who has one that they signed for its name is believed
-    #[arg(long, value_name = "FILE", requires = "connect", group = "trust")]
-    pub ca: Option<PathBuf>,
-
-    /// With --ca, the name that the server's certificate is for [default: the host of --connect]
-    #[arg(long, value_name = "NAME", requires = "ca", conflicts_with = "fingerprint")]
-    pub server_name: Option<String>,
-
-    /// Instead of both, the file that the server wrote with --ready-file; waited for up to 30 s
-    #[arg(long, value_name = "FILE", conflicts_with = "connect")]
-    pub server_file: Option<PathBuf>,
-
-    /// A token that says who we are, or a file with it; others on this machine may see what is on a command line [default:
-    /// the variable EYELINE_TOKEN, else none]
-    #[arg(long, value_name = "TOKEN|FILE")]
-    pub token: Option<String>,
-}
-
-/// How tokens begin (PASETO v4.public).
-const TOKEN_PREFIX: &str = "v4.public.";
-
-/// A token as it is given: itself, or the file that it is in.
-fn read_token(given: &str) -> anyhow::Result<Vec<u8>> {
-    let given = given.trim();
-    if given.starts_with(TOKEN_PREFIX) {
-        anyhow::ensure!(
-            given.len() <= TOKEN_BYTES_MAX,
-            "the token is of {} bytes, more than {TOKEN_BYTES_MAX}; is something pasted to it?",
-            given.len()
-        );
-        return Ok(given.as_bytes().to_vec());
-    }
-    let shown = given.chars().take(80).collect::<String>().escape_debug().to_string();
-    let text = std::fs::read_to_string(given).with_context(|| {
-        format!("'{shown}' is neither a token, which begins with {TOKEN_PREFIX}, nor a file with one")
-    })?;
-    let text = text.trim();
-    anyhow::ensure!(
-        text.starts_with(TOKEN_PREFIX) && text.len() <= TOKEN_BYTES_MAX,
-        "{shown}: there is no token in it, which begins with {TOKEN_PREFIX} and has at most {TOKEN_BYTES_MAX} bytes; \
-         `eyeline-server token issue` prints one"
-    );
-    Ok(text.as_bytes().to_vec())
-}
-
-/// How long a server's file is waited for, and how often it is looked for.
-const SERVER_FILE_WAIT: Duration = Duration::from_secs(30);
-const SERVER_FILE_LOOK: Duration = Duration::from_millis(20);
-
-impl Target {
-    /// The server's address and how it is trusted; waits for the server's file.
-    ///
-    /// # Errors
-    /// Names the value or the file, and the remedy.
-    pub fn resolve(&self) -> anyhow::Result<(SocketAddr, Trust)> {
-        match (&self.connect, self.fingerprint, &self.ca, &self.server_file) {
-            (Some(address), Some(fingerprint), ..) => Ok((resolve(address)?, fingerprint.into())),
-            (Some(address), _, Some(authorities), _) => {
-                let host = address.rsplit_once(':').map_or(address.as_str(), |(host, _)| host);
-                // An IPv6 address is written with brackets before a port, and without in a certificate.
-                let host = host.trim_start_matches('[').trim_end_matches(']');
-                let name = self.server_name.as_deref().unwrap_or(host);
-                Ok((resolve(address)?, Trust::signed(authorities, name)?))
-            }
-            (.., Some(path)) => {
-                let text = wait_for(path)?;
-                let mut lines = text.lines();
-                let (Some(address), Some(fingerprint)) = (lines.next(), lines.next()) else {
-                    anyhow::bail!("{}: not a server's file: needs an address and a fingerprint", path.display());
-                };
-                let name = || path.display().to_string();
-                let fingerprint = fingerprint.parse::<Fingerprint>().with_context(name)?;
-                Ok((resolve(address).with_context(name)?, fingerprint.into()))
-            }
-            _ => anyhow::bail!("which server? give --connect with --fingerprint or --ca, or --server-file"),
-        }
-    }
-
-    /// The token to show; empty without one.
-    ///
-    /// # Errors
-    /// Says what it is instead of a token, and the remedy.
-    pub fn token(&self) -> anyhow::Result<Vec<u8>> {
-        if let Some(given) = &self.token {
-            return read_token(given).context("--token");
-        }
-        match std::env::var("EYELINE_TOKEN") {
-            Ok(given) if !given.trim().is_empty() => read_token(&given).context("EYELINE_TOKEN"),
-            Ok(_) | Err(std::env::VarError::NotPresent) => Ok(Vec::new()),
-            Err(error) => Err(error).context("EYELINE_TOKEN"),
-        }
-    }
-}
-
-fn resolve(address: &str) -> anyhow::Result<SocketAddr> {
-    let mut found = address
-        .to_socket_addrs()
-        .with_context(|| format!("'{address}' is no address; give HOST:PORT, for instance 127.0.0.1:4433"))?;
-    found.next().with_context(|| format!("'{address}' has no address"))
-}
-
-fn wait_for(path: &Path) -> anyhow::Result<String> {
-    let waiting = now();
-    loop {
-        match std::fs::read_to_string(path) {
-            Ok(text) => return Ok(text),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound && waiting.elapsed() < SERVER_FILE_WAIT => {
-                std::thread::sleep(SERVER_FILE_LOOK);
-            }
-            Err(error) => {
-                let path = path.display();
-                return Err(error)
-                    .with_context(|| format!("no server has written {path}; start one with --ready-file"));
-            }
-        }
-    }
+    /// Keep order on a server: see who is there, send somebody away, tell everybody something
+    #[command(after_long_help = crate::operate::EXAMPLES)]
+    Operate(crate::operate::Operate),
 }
 
 /// Where the model comes from.
@@ -203,6 +76,10 @@ pub struct Headless {
     /// A name for people
     #[arg(long, default_value = "headless")]
     name: String,
+
+    /// Print what comes into view, stops, leaves, and what is said, a line each
+    #[arg(long)]
+    events: bool,
 }
 
 const HEADLESS_EXAMPLES: &str = "Examples:
@@ -215,17 +92,16 @@ const HEADLESS_EXAMPLES: &str = "Examples:
 /// # Errors
 /// If there is no such server, it does not let us in, its world can't be had, or the connection is lost.
 pub fn headless(options: &Headless) -> anyhow::Result<()> {
-    let (address, trust) = options.target.resolve()?;
-    let token = options.target.token()?;
     let period = Duration::from_secs_f64(1.0 / options.frame_hz);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let shutdown = shutdown_signal()?;
-        let endpoint = Endpoint::new(trust, address)?;
+        let (endpoint, address) = options.target.endpoint()?;
         let config = SessionConfig::default()
             .with_name(options.name.clone())
-            .with_token(token)
+            .with_token(options.target.token()?)
             .with_tracker(TrackerConfig::default().with_frame(period));
+        let config = if options.events { config.with_watch() } else { config };
         // How large the world is will be known later.
         let session = Session::new(config, Box::new(|| Box::new(DynamicOctree::new(Aabb::EMPTY))));
         let mut connection = endpoint.connect(address, session, LocalClock::default()).await?;
@@ -242,6 +118,11 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
         let mut second = Second::default();
         let on_frame = Box::new(|session: &mut Session, report: &crate::net::FrameReport| {
             second.add(report.cull + report.track);
+            while let Some(event) = session.poll_event() {
+                if options.events {
+                    print(&format!("        {}\n", event.describe()));
+                }
+            }
             // A frame count, not a clock: a line stands for a second's frames.
             if second.frames >= options.frame_hz.ceil() as u32 {
                 print(&second.line(session));
@@ -262,7 +143,7 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
             }
         };
         let first = connection.clock().now();
-        let ran = run_headless(&mut connection, &mut onlooker, period, first, end).await;
+        let ran = run_resuming(&endpoint, address, &mut connection, &mut onlooker, period, first, end).await;
         let stats = *connection.session.stats();
         let (sent, sent_bytes, received, received_bytes) = connection.udp();
         let skipped = ran.as_ref().map_or(0, |summary| summary.skipped);
@@ -323,7 +204,7 @@ pub fn number(
 }
 
 /// Writes to standard output at once. Who has closed it does not want to read, which is no reason to end.
-fn print(text: &str) {
+pub(crate) fn print(text: &str) {
     let mut out = std::io::stdout().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }
@@ -368,63 +249,4 @@ pub fn init_logs() {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn,eyeline_client=info".into());
     let colours = std::io::stderr().is_terminal();
     tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
-}
-
-#[expect(clippy::disallowed_methods, reason = "a driver: it waits for a file")]
-fn now() -> Instant {
-    Instant::now()
-}
-
-#[cfg(test)]
-mod tests {
-    use clap::Parser;
-
-    use super::*;
-
-    #[derive(Parser)]
-    struct Options {
-        #[command(flatten)]
-        target: Target,
-    }
-
-    fn target(args: &[&str]) -> Result<Target, clap::Error> {
-        Options::try_parse_from(std::iter::once("client").chain(args.iter().copied())).map(|options| options.target)
-    }
-
-    #[test]
-    fn a_server_is_pinned_or_signed_for_but_not_both() {
-        let pin = "11".repeat(32);
-        let pinned = target(&["--connect", "127.0.0.1:1", "--fingerprint", &pin]).unwrap().resolve().unwrap();
-        assert!(matches!(pinned.1, Trust::Pinned(_)));
-        for bad in [
-            &["--connect", "127.0.0.1:1"][..],
-            &["--connect", "127.0.0.1:1", "--fingerprint", &pin, "--ca", "a.pem"],
-            &["--connect", "127.0.0.1:1", "--fingerprint", &pin, "--server-name", "a"],
-            &["--ca", "a.pem"],
-            &["--server-file", "a", "--ca", "a.pem"],
-        ] {
-            assert!(target(bad).is_err(), "{bad:?}");
-        }
-    }
-
-    #[test]
-    fn a_token_is_given_as_it_is_or_in_a_file() {
-        let path = std::env::temp_dir().join(format!("eyeline-token-{}", std::process::id()));
-        let given = path.to_str().unwrap();
-        let token = |given: &str| {
-            let target = target(&["--server-file", "none", "--token", given]).unwrap();
-            target.token().map_err(|error| one_line(&error))
-        };
-        assert_eq!(token(" v4.public.abc\n"), Ok(b"v4.public.abc".to_vec()));
-        std::fs::write(&path, "v4.public.def\n").unwrap();
-        assert_eq!(token(given), Ok(b"v4.public.def".to_vec()));
-        std::fs::write(&path, "k4.secret.def\n").unwrap();
-        let error = token(given).unwrap_err();
-        assert!(error.contains("there is no token in it") && !error.contains("secret"), "{error}");
-        std::fs::remove_file(&path).unwrap();
-        let error = token(given).unwrap_err();
-        assert!(error.starts_with("--token: ") && error.contains("neither a token"), "{error}");
-        let long = format!("v4.public.{}", "A".repeat(1_015));
-        assert!(token(&long).unwrap_err().contains("1025 bytes, more than 1024"));
-    }
 }

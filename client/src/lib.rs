@@ -8,6 +8,10 @@ pub mod app;
 pub mod clock;
 #[cfg(feature = "net")]
 pub mod net;
+#[cfg(feature = "net")]
+pub mod operate;
 pub mod session;
+#[cfg(feature = "net")]
+mod target;
 pub mod tracking;
 pub mod world;
