@@ -14,7 +14,7 @@ use eyeline_protocol::WorldTime;
 use crate::config::check;
 pub use crate::config::options::{ServeOptions, number};
 use crate::model::Model;
-use crate::net::{Handle, Server, WorldClock};
+use crate::net::{Anonymous, Handle, Server, WorldClock};
 use crate::policy::{PolicySettings, PvsTable};
 use crate::world::WorldConfig;
 
@@ -91,6 +91,25 @@ fn describe(options: &ServeOptions, model: &Model, settings: &PolicySettings, no
     let _ = writeln!(text, "avatars      at most {}, {speed} m/s, {spawns} spawn points", options.max_avatars);
     for note in notes {
         let _ = writeln!(text, "note         {note}");
+    }
+    let gate = &options.gate;
+    let without = match gate.anonymous {
+        Anonymous::Loopback => format!("{} from this machine, nobody from elsewhere", gate.anonymous_role),
+        Anonymous::Anywhere => format!("{} from anywhere", gate.anonymous_role),
+        Anonymous::Never => "nobody".to_owned(),
+    };
+    let _ = writeln!(
+        text,
+        "gate         {} keys for tokens of '{}'; without a token: {without}",
+        gate.keys.len(),
+        gate.audience
+    );
+    if gate.keys.is_empty() && gate.anonymous == Anonymous::Loopback && !options.listen.ip().is_loopback() {
+        let _ = writeln!(
+            text,
+            "note         listens to all, and lets in nobody from elsewhere: make a key with `eyeline-server token key` and \
+             name it with --token-keys, or give --anonymous anywhere"
+        );
     }
     let how = match options.policy.as_str() {
         "visible" => "clients hold bounds of what is hidden, and ask for what is exposed",

@@ -82,18 +82,22 @@ pub(super) fn lookup(merged: &Value, key: &str) -> Setting {
 
 /// What a file says of `keys`. What is wrong with it goes to `problems`.
 pub(super) fn file(path: &Path, keys: &[&Arg], foreign: &[&str], problems: &mut Vec<String>) -> Layer {
-    let name = path.display();
-    let text = match read(path) {
-        Ok(text) => text,
+    let name = path.display().to_string();
+    match read(path) {
+        Ok(text) => self::text(&name, &text, keys, foreign, problems),
         Err(reason) => {
             problems.push(format!(
                 "{name}: {reason}; name another with --config, or write one: eyeline-server config example > {name}"
             ));
-            return Layer::default();
+            Layer::default()
         }
-    };
-    let mut reader = Reader { name: &name.to_string(), text: &text, keys, foreign, problems, given: Vec::new() };
-    match DeTable::parse(&text) {
+    }
+}
+
+/// What a file's text says of `keys`.
+pub(super) fn text(name: &str, text: &str, keys: &[&Arg], foreign: &[&str], problems: &mut Vec<String>) -> Layer {
+    let mut reader = Reader { name, text, keys, foreign, problems, given: Vec::new() };
+    match DeTable::parse(text) {
         Ok(table) => reader.table("", table.get_ref()),
         Err(error) => {
             let place = reader.place(error.span().map_or(0, |span| span.start));

@@ -147,14 +147,36 @@ impl<T: Args> Flags<T> {
         environment: impl IntoIterator<Item = (OsString, OsString)>,
         foreign: &[&str],
     ) -> Result<Loaded<T>, ConfigError> {
+        let named = self.given.get("config").and_then(|values| values.first()).map(PathBuf::from);
+        let usual = || Some(PathBuf::from(USUAL_FILE)).filter(|path| path.exists());
+        let file = named.or_else(usual);
+        let read = |keys: &[&Arg], problems: &mut Vec<String>| match &file {
+            Some(path) => layers::file(path, keys, foreign, problems),
+            None => Layer::default(),
+        };
+        self.lay(file.as_deref(), read, environment)
+    }
+
+    /// Lays the flags over the text of a file, which is called `name` in messages.
+    ///
+    /// # Errors
+    /// Names every value that is wrong, its place and the remedy.
+    pub fn load_text(&self, name: &str, text: &str) -> Result<Loaded<T>, ConfigError> {
+        let read = |keys: &[&Arg], problems: &mut Vec<String>| layers::text(name, text, keys, &[], problems);
+        self.lay(Some(Path::new(name)), read, [])
+    }
+
+    fn lay(
+        &self,
+        file: Option<&Path>,
+        read: impl FnOnce(&[&Arg], &mut Vec<String>) -> Layer,
+        environment: impl IntoIterator<Item = (OsString, OsString)>,
+    ) -> Result<Loaded<T>, ConfigError> {
         let command = command::<T>();
         let keys: Vec<&Arg> = keys(&command).collect();
         let mut problems = Vec::new();
 
-        let named = self.given.get("config").and_then(|values| values.first()).map(PathBuf::from);
-        let usual = || Some(PathBuf::from(USUAL_FILE)).filter(|path| path.exists());
-        let file = named.or_else(usual);
-        let written = file.as_deref().map(|path| layers::file(path, &keys, foreign, &mut problems));
+        let written = read(&keys, &mut problems);
         let environment = layers::environment(environment, &keys, &mut problems);
         let defaults = keys.iter().filter(|key| !key.get_default_values().is_empty());
         let text = |value: &clap::builder::OsStr| value.to_string_lossy().into_owned();
@@ -166,13 +188,13 @@ impl<T: Args> Flags<T> {
         });
 
         let mut builder = config::Config::builder().add_source(Layer::of(defaults));
-        for layer in [written.unwrap_or_default(), environment] {
+        for layer in [written, environment] {
             layer.given().for_each(|given| check(&command, given, &mut problems));
             builder = builder.add_source(layer);
         }
         if !problems.is_empty() {
             // Tables and the environment have no order; messages follow the file's lines.
-            problems.sort_by_key(|problem| (line(problem, file.as_deref()), problem.clone()));
+            problems.sort_by_key(|problem| (line(problem, file), problem.clone()));
             return Err(ConfigError { problems });
         }
         let broken = |error: &dyn std::fmt::Display| ConfigError { problems: vec![error.to_string()] };
@@ -193,7 +215,7 @@ impl<T: Args> Flags<T> {
         }
         let matches = effective.try_get_matches_from(std::iter::empty::<OsString>()).map_err(|error| broken(&error))?;
         let options = T::from_arg_matches(&matches).map_err(|error| broken(&error))?;
-        Ok(Loaded { options, settings, file })
+        Ok(Loaded { options, settings, file: file.map(Path::to_owned) })
     }
 }
 

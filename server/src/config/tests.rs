@@ -120,6 +120,8 @@ fn what_is_wrong_in_the_file_names_itself_its_place_and_the_remedy() {
         let problems = load(&[], text, &[]).unwrap_err();
         assert!(problems.len() == 1 && problems[0].contains(said), "{text}: {problems:?}");
     }
+    let as_text = flags(&[]).load_text("hall", "\nblur = -1").unwrap_err().to_string();
+    assert_eq!(as_text, "hall:2: blur = '-1': give a number from 0 to 1000 m");
     let twice = load(&[], "blur = 1\nblur = 2", &[]).unwrap_err();
     assert!(twice[0].contains("s.toml:2: this is not TOML: duplicate key"), "{twice:?}");
     // The secret is not shown even when it is wrong.

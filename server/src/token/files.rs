@@ -134,16 +134,17 @@ pub fn write_keys(path: &Path, secret: &SecretKey, public: &PublicKey) -> Result
 /// # Errors
 /// If it is none, or others may read it.
 pub fn read_secret(path: &Path) -> Result<SecretKey, FileError> {
+    let text = read_text(path, KEY_BYTES_MAX)?;
+    let secret = SecretKey::parse(&text).map_err(|source| FileError::Key { path: path.to_owned(), source })?;
     #[cfg(unix)]
     {
-        use std::os::unix::fs::PermissionsExt as _;
+        use std::os::unix::fs::PermissionsExt;
         let mode = std::fs::metadata(path).map_err(at(path))?.permissions().mode() & 0o777;
         if mode & 0o077 != 0 {
             return Err(FileError::Open { path: path.to_owned(), mode });
         }
     }
-    let text = read_text(path, KEY_BYTES_MAX)?;
-    SecretKey::parse(&text).map_err(|source| FileError::Key { path: path.to_owned(), source })
+    Ok(secret)
 }
 
 /// The public key in a file.
@@ -176,7 +177,11 @@ impl Revocations {
         }
     }
 
-    fn parse(text: &str, path: &Path) -> Result<Revocations, FileError> {
+    /// Reads the text of a list, which is called `path` in messages.
+    ///
+    /// # Errors
+    /// If a line is not understood.
+    pub fn parse(text: &str, path: &Path) -> Result<Revocations, FileError> {
         let mut revoked = Revocations::default();
         for (index, line) in text.lines().enumerate() {
             let line = line.trim();
