@@ -1,5 +1,7 @@
 //! Whole-system scenarios, in virtual time but for `gate`, which needs real handshakes. Each name is a claim.
 
+mod corpus;
+mod events;
 mod gate;
 mod hostile;
 mod mutants;
