@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::Context;
-use eyeline_client::net::{Endpoint, LocalClock, ModelSource, Onlooker, run_headless};
+use eyeline_client::net::{Endpoint, Fingerprint, LocalClock, ModelSource, Onlooker, run_headless};
 use eyeline_client::session::{Session, SessionConfig};
 use eyeline_visibility::{Aabb, DynamicOctree};
 
@@ -14,7 +14,7 @@ async fn main() -> anyhow::Result<()> {
 
     // The session is a state machine; the endpoint puts a socket and a clock around it.
     let address = address.parse()?;
-    let endpoint = Endpoint::new(fingerprint.parse()?, address)?;
+    let endpoint = Endpoint::new(fingerprint.parse::<Fingerprint>()?, address)?;
     let session = Session::new(SessionConfig::default(), Box::new(|| Box::new(DynamicOctree::new(Aabb::EMPTY))));
     let mut connection = endpoint.connect(address, session, LocalClock::default()).await?;
     let scene = connection.scene(&ModelSource::Fetch).await?;

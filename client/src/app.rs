@@ -1,19 +1,19 @@
 //! The `eyeline-client` command: options, what it prints, and how it ends.
 
 use std::io::{IsTerminal as _, Write as _};
-use std::net::{SocketAddr, ToSocketAddrs};
 use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::path::PathBuf;
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use eyeline_protocol::{Position, Role, TOKEN_BYTES_MAX};
+use eyeline_protocol::{Position, Role};
 use eyeline_visibility::{Aabb, DynamicOctree};
 use glam::DVec3;
 
-use crate::net::{Endpoint, Fingerprint, LocalClock, ModelSource, Onlooker, run_resuming};
+use crate::net::{LocalClock, ModelSource, Onlooker, run_resuming};
 use crate::session::{Session, SessionConfig, SessionStats};
+pub use crate::target::Target;
 use crate::tracking::TrackerConfig;
 
 /// What the client can do.
@@ -25,108 +25,6 @@ pub enum Command {
     /// Keep order on a server: see who is there, send somebody away, tell everybody something
     #[command(after_long_help = crate::operate::EXAMPLES)]
     Operate(crate::operate::Operate),
-}
-
-/// Which server.
-#[derive(Args, Clone, Debug)]
-pub struct Target {
-    /// Address of the server, HOST:PORT
-    #[arg(long, value_name = "HOST:PORT", required_unless_present = "server_file", requires = "fingerprint")]
-    pub connect: Option<String>,
-
-    /// SHA-256 of the server's certificate, 64 hexadecimal digits: the server prints it when it starts
-    #[arg(long, value_name = "HEX", requires = "connect")]
-    pub fingerprint: Option<Fingerprint>,
-
-    /// Instead of both, the file that the server wrote with --ready-file; waited for up to 30 s
-    #[arg(long, value_name = "FILE", conflicts_with = "connect")]
-    pub server_file: Option<PathBuf>,
-
-    /// What the server is to let us in by: the file that holds the token, or the token itself [default: EYELINE_TOKEN, else
-    /// none]
-    #[arg(long, value_name = "FILE|TOKEN")]
-    token: Option<String>,
-}
-
-/// How long a server's file is waited for, and how often it is looked for.
-const SERVER_FILE_WAIT: Duration = Duration::from_secs(30);
-const SERVER_FILE_LOOK: Duration = Duration::from_millis(20);
-
-impl Target {
-    /// The server's address and fingerprint; waits for the server's file.
-    ///
-    /// # Errors
-    /// Names the value or the file, and the remedy.
-    pub fn resolve(&self) -> anyhow::Result<(SocketAddr, Fingerprint)> {
-        match (&self.connect, self.fingerprint, &self.server_file) {
-            (Some(address), Some(fingerprint), _) => Ok((resolve(address)?, fingerprint)),
-            (_, _, Some(path)) => {
-                let text = wait_for(path)?;
-                let mut lines = text.lines();
-                let (Some(address), Some(fingerprint)) = (lines.next(), lines.next()) else {
-                    anyhow::bail!("{}: not a server's file: needs an address and a fingerprint", path.display());
-                };
-                let name = || path.display().to_string();
-                Ok((resolve(address).with_context(name)?, fingerprint.parse::<Fingerprint>().with_context(name)?))
-            }
-            _ => anyhow::bail!("which server? give --connect and --fingerprint, or --server-file"),
-        }
-    }
-}
-
-impl Target {
-    /// A socket for connections to the server, and its address.
-    ///
-    /// # Errors
-    /// As [`Target::resolve`], or if there is no socket to be had. Needs a tokio runtime around it.
-    pub fn endpoint(&self) -> anyhow::Result<(Endpoint, SocketAddr)> {
-        let (address, fingerprint) = self.resolve()?;
-        Ok((Endpoint::new(fingerprint, address)?, address))
-    }
-
-    /// The token's bytes; none if there is no token.
-    ///
-    /// # Errors
-    /// If its file can't be read, or it is no token by its size.
-    pub fn token(&self) -> anyhow::Result<Vec<u8>> {
-        let Some(given) = self.token.clone().or_else(|| std::env::var("EYELINE_TOKEN").ok()) else {
-            return Ok(Vec::new());
-        };
-        let path = Path::new(&given);
-        let text = if path.exists() {
-            std::fs::read_to_string(path).with_context(|| format!("cannot read the token {}", path.display()))?
-        } else {
-            given
-        };
-        let token = text.trim().as_bytes().to_vec();
-        let bytes = token.len();
-        anyhow::ensure!(bytes <= TOKEN_BYTES_MAX, "{bytes} bytes are no token: at most {TOKEN_BYTES_MAX} are");
-        Ok(token)
-    }
-}
-
-fn resolve(address: &str) -> anyhow::Result<SocketAddr> {
-    let mut found = address
-        .to_socket_addrs()
-        .with_context(|| format!("'{address}' is no address; give HOST:PORT, for instance 127.0.0.1:4433"))?;
-    found.next().with_context(|| format!("'{address}' has no address"))
-}
-
-fn wait_for(path: &Path) -> anyhow::Result<String> {
-    let waiting = now();
-    loop {
-        match std::fs::read_to_string(path) {
-            Ok(text) => return Ok(text),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound && waiting.elapsed() < SERVER_FILE_WAIT => {
-                std::thread::sleep(SERVER_FILE_LOOK);
-            }
-            Err(error) => {
-                let path = path.display();
-                return Err(error)
-                    .with_context(|| format!("no server has written {path}; start one with --ready-file"));
-            }
-        }
-    }
 }
 
 /// Where the model comes from.
@@ -193,7 +91,7 @@ pub struct Headless {
 
 const HEADLESS_EXAMPLES: &str = "Examples:
   eyeline-client headless --connect 127.0.0.1:4433 --fingerprint 11c4…d6b9 --seconds 10
-  eyeline-client headless --connect example.org:4433 --fingerprint 11c4…d6b9 --cache /tmp/models
+  eyeline-client headless --connect example.org:4433 --ca authority.pem --token anna.token --cache /tmp/models
   eyeline-client headless --server-file ready.txt --world rooms.glb --frame-hz 10";
 
 /// Runs `headless`.
@@ -373,9 +271,4 @@ pub fn init_logs() {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn,eyeline_client=info".into());
     let colours = std::io::stderr().is_terminal();
     tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
-}
-
-#[expect(clippy::disallowed_methods, reason = "a driver: it waits for a file")]
-fn now() -> Instant {
-    Instant::now()
 }

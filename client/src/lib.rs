@@ -45,5 +45,7 @@ pub mod net;
 #[cfg(feature = "net")]
 pub mod operate;
 pub mod session;
+#[cfg(feature = "net")]
+mod target;
 pub mod tracking;
 pub mod world;

@@ -4,8 +4,14 @@
 //! stable Rust, and mutates it a little. A function returns if all is well, and panics if not.
 
 use std::path::Path;
+use std::sync::OnceLock;
 
+use eyeline_protocol::WorldTime;
 use eyeline_protocol::codec::{self, ControlReader};
+use eyeline_server::config::Flags;
+use eyeline_server::config::options::ServerOptions;
+use eyeline_server::token::files::Revocations;
+use eyeline_server::token::{self, PublicKey};
 use eyeline_visibility::{LoadOptions, load_glb};
 
 pub mod play;
@@ -14,8 +20,15 @@ pub mod play;
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All targets, by the names of their folders in the corpus.
-pub const TARGETS: [Target; 5] =
-    [("wire", wire), ("gltf", gltf), ("world_toml", world_toml), ("trace", trace), ("play", play::play)];
+pub const TARGETS: [Target; 7] = [
+    ("wire", wire),
+    ("gltf", gltf),
+    ("world_toml", world_toml),
+    ("config", config),
+    ("token", token),
+    ("trace", trace),
+    ("play", play::play),
+];
 
 /// Every decoder of the wire. What decodes is legal, and says the same when it is encoded again.
 pub fn wire(bytes: &[u8]) {
@@ -80,6 +93,28 @@ pub fn world_toml(bytes: &[u8]) {
             let due = world.poll_timeout();
             world.tick(due);
         }
+    }
+}
+
+/// A server's settings: a file that is good is shown, and a shown one can be read again.
+pub fn config(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    match Flags::<ServerOptions>::none().load_text("fuzz.toml", text) {
+        Ok(loaded) => drop(eyeline_server::config::show::effective(&loaded)),
+        Err(error) => assert!(!error.problems.is_empty(), "an error without a problem"),
+    }
+}
+
+/// A token, and the list of those that are not to be believed. Nobody but the bearer of the key makes a token.
+pub fn token(bytes: &[u8]) {
+    static KEY: OnceLock<PublicKey> = OnceLock::new();
+    let key = KEY.get_or_init(|| token::make_keys().expect("the system has chance to give").1);
+    let now = WorldTime::from_micros(1_800_000_000_000_000);
+    assert!(token::verify(bytes, [key], "fuzz", now).is_err(), "a forged token");
+    drop(token::peek(bytes));
+    if let Ok(text) = std::str::from_utf8(bytes) {
+        drop(Revocations::parse(text, Path::new("fuzz.revoked")));
+        drop((PublicKey::parse(text), token::SecretKey::parse(text)));
     }
 }
 

@@ -8,6 +8,7 @@ mod headless;
 mod onlooker;
 mod pin;
 mod scene;
+mod trust;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -22,6 +23,7 @@ pub use onlooker::{OnFrame, Onlooker};
 pub use pin::{Fingerprint, FingerprintError};
 use quinn::crypto::rustls::QuicClientConfig;
 pub use scene::{ModelSource, SceneError};
+pub use trust::{Trust, TrustError};
 
 use crate::session::{Event, Session};
 
@@ -96,18 +98,22 @@ impl LocalClock {
     }
 }
 
-/// A socket that any number of connections share, to servers with one fingerprint.
+/// A socket that any number of connections share, to servers that one trusts alike.
 pub struct Endpoint {
     endpoint: quinn::Endpoint,
+    server_name: String,
 }
 
 impl Endpoint {
-    /// A socket for connections to servers whose certificate has this fingerprint. Needs a tokio runtime around it.
+    /// A socket for connections to servers that are trusted so: by a [`Fingerprint`], or otherwise. Needs a tokio runtime
+    /// around it.
     ///
     /// # Errors
     /// If there is no socket to be had.
-    pub fn new(fingerprint: Fingerprint, remote: SocketAddr) -> Result<Endpoint, NetError> {
-        let config = quic_config(fingerprint)?;
+    pub fn new(trust: impl Into<Trust>, remote: SocketAddr) -> Result<Endpoint, NetError> {
+        let trust = trust.into();
+        let server_name = trust.name().to_owned();
+        let config = quic_config(trust)?;
         let any: SocketAddr = match (remote, remote.ip().is_loopback()) {
             (SocketAddr::V4(_), true) => (std::net::Ipv4Addr::LOCALHOST, 0).into(),
             (SocketAddr::V4(_), false) => (std::net::Ipv4Addr::UNSPECIFIED, 0).into(),
@@ -118,7 +124,7 @@ impl Endpoint {
         let runtime = Arc::new(quinn::TokioRuntime);
         let mut endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), None, socket, runtime)?;
         endpoint.set_default_client_config(config);
-        Ok(Endpoint { endpoint })
+        Ok(Endpoint { endpoint, server_name })
     }
 
     /// Connects `session` to the server at `address` and waits until it is welcome.
@@ -155,8 +161,10 @@ impl Endpoint {
         &self,
         address: SocketAddr,
     ) -> Result<(quinn::Connection, quinn::SendStream, quinn::RecvStream), NetError> {
-        let connecting =
-            self.endpoint.connect(address, "eyeline").map_err(|source| NetError::Connect { address, source })?;
+        let connecting = self
+            .endpoint
+            .connect(address, &self.server_name)
+            .map_err(|source| NetError::Connect { address, source })?;
         let connection = match tokio::time::timeout(CONNECT_TIMEOUT, connecting).await {
             Err(_) | Ok(Err(quinn::ConnectionError::TimedOut)) => {
                 return Err(silent(address, "nothing answers there"));
@@ -202,7 +210,7 @@ fn handshake_reason(error: &quinn::ConnectionError) -> String {
                 let ours = String::from_utf8_lossy(ALPN);
                 return format!("the server does not speak {ours}; update the older side");
             }
-            error.reason.clone()
+            format!("{}{}", error.reason, trust::remedy(&error.reason))
         }
         other => other.to_string(),
     }
@@ -360,17 +368,21 @@ impl Connection {
 /// Largest model that is fetched: 1 GiB.
 const WORLD_BYTES_MAX: usize = 1 << 30;
 
-/// How a client speaks QUIC and TLS with servers whose certificate has this fingerprint, wherever its packets go.
+/// How a client speaks QUIC and TLS with servers that are trusted so, wherever its packets go.
 ///
 /// # Errors
 /// If TLS can't be set up.
-pub fn quic_config(fingerprint: Fingerprint) -> Result<quinn::ClientConfig, NetError> {
+pub fn quic_config(trust: impl Into<Trust>) -> Result<quinn::ClientConfig, NetError> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let mut tls = rustls::ClientConfig::builder_with_provider(provider.clone())
-        .with_protocol_versions(&[&rustls::version::TLS13])?
-        .dangerous()
-        .with_custom_certificate_verifier(Arc::new(pin::Pinned::new(fingerprint, provider)))
-        .with_no_client_auth();
+    let tls = rustls::ClientConfig::builder_with_provider(provider.clone())
+        .with_protocol_versions(&[&rustls::version::TLS13])?;
+    let mut tls = match trust.into() {
+        Trust::Pinned(fingerprint) => tls
+            .dangerous()
+            .with_custom_certificate_verifier(Arc::new(pin::Pinned::new(fingerprint, provider)))
+            .with_no_client_auth(),
+        Trust::Signed { authorities, .. } => tls.with_root_certificates(authorities).with_no_client_auth(),
+    };
     tls.alpn_protocols = vec![ALPN.to_vec()];
     let quic = QuicClientConfig::try_from(tls).map_err(|error| NetError::Lost(error.to_string()))?;
     let mut config = quinn::ClientConfig::new(Arc::new(quic));

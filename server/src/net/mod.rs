@@ -7,7 +7,10 @@
 // This is a driver: it may read the clock and own sockets.
 #![expect(clippy::disallowed_methods, clippy::disallowed_types)]
 
+mod bans;
+mod gate;
 mod identity;
+mod watched;
 
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -15,10 +18,13 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+pub use bans::BANS_MAX;
 use bytes::Bytes;
 use eyeline_protocol::codec::ControlReader;
 use eyeline_protocol::{ALPN, WorldTime};
-pub use identity::{Identity, IdentityError};
+pub use gate::{Anonymous, GateError, KEYS_MAX, TokenGate};
+pub(crate) use identity::write_private;
+pub use identity::{Identity, IdentityError, Reloader};
 use quinn::crypto::rustls::QuicServerConfig;
 use tokio::sync::mpsc;
 
@@ -437,7 +443,7 @@ pub fn quic_config(identity: Identity) -> Result<quinn::ServerConfig, ServeError
     let mut tls = rustls::ServerConfig::builder_with_provider(provider)
         .with_protocol_versions(&[&rustls::version::TLS13])?
         .with_no_client_auth()
-        .with_single_cert(vec![identity.certificate], identity.key)?;
+        .with_cert_resolver(identity.shown());
     tls.alpn_protocols = vec![ALPN.to_vec()];
     let mut config = quinn::ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(tls)?));
     config.transport_config(Arc::new(transport()));
@@ -480,3 +486,6 @@ pub fn socket(address: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
     socket.bind(&address.into())?;
     Ok(socket.into())
 }
+
+#[cfg(test)]
+mod wrong_tests;

@@ -82,12 +82,13 @@ fn place(options: &Replay, trace: &Trace) -> anyhow::Result<Placement> {
 
 async fn play(options: &Replay, crowd: Crowd, avatars: u16) -> anyhow::Result<()> {
     let shutdown = shutdown_signal()?;
-    let (address, fingerprint) = options.target.resolve()?;
+    let (address, trust) = options.target.resolve()?;
     let period = Duration::from_secs_f64(1.0 / options.frame_hz);
-    let endpoint = Endpoint::new(fingerprint, address)?;
+    let endpoint = Endpoint::new(trust, address)?;
     let name: String = options.trace.file_name().map_or_else(String::new, |name| name.to_string_lossy().into());
     let config = SessionConfig::default()
         .with_name(name.chars().take(60).collect::<String>())
+        .with_token(options.target.token()?)
         .with_role(Role::Actor { avatars });
     let session = Session::new(config, Box::new(|| Box::new(DynamicOctree::new(Aabb::EMPTY))));
     let mut connection = endpoint.connect(address, session, LocalClock::default()).await?;

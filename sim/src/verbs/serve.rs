@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use eyeline_server::app::{self, ServeOptions};
+use eyeline_server::config::Flags;
 use eyeline_server::model::Model;
 use eyeline_sim::scene::plan::RoomsRules;
 use eyeline_sim::scene::rooms;
@@ -26,7 +27,7 @@ pub struct Serve {
     rooms: Option<(u32, u32)>,
 
     #[command(flatten)]
-    serve: ServeOptions,
+    serve: Flags<ServeOptions>,
 }
 
 pub const EXAMPLES: &str = "Examples:
@@ -42,9 +43,11 @@ fn columns_by_rows(text: &str) -> Result<(u32, u32), String> {
 
 /// Serves.
 pub fn run(options: &Serve) -> anyhow::Result<()> {
+    // The world is for the flags to say: what the file says of it is for `eyeline-server`.
+    let serve = options.serve.load(&["world", "world_file"])?.options;
     let (model, notes) = match (&options.world, options.rooms) {
         (_, Some((columns, rows))) => {
-            let seed = options.serve.seed.unwrap_or(RoomsRules::default().seed);
+            let seed = serve.seed.unwrap_or(RoomsRules::default().seed);
             let made = rooms::make(&RoomsRules { columns, rows, seed, ..RoomsRules::default() })?;
             (Model::from_bytes(made.glb, "rooms.glb", Some(made.world))?, Vec::new())
         }
@@ -54,5 +57,5 @@ pub fn run(options: &Serve) -> anyhow::Result<()> {
         }
         (None, None) => anyhow::bail!("which world? give --world FILE or --rooms COLUMNSxROWS"),
     };
-    app::serve(&options.serve, model, &notes)
+    app::serve(&serve, model, &notes)
 }

@@ -135,12 +135,16 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
     let shutdown = shutdown_signal()?;
     tokio::pin!(shutdown);
     let (address, fingerprint) = options.target.resolve()?;
+    let token = options.target.token()?;
     let period = Duration::from_secs_f64(1.0 / options.frame_hz);
     let endpoint = Endpoint::new(fingerprint, address)?;
     let clock = LocalClock::default();
     let session = |number: u32, bounds: Aabb| {
         let tracker = TrackerConfig::default().with_frame(period).with_sabotage(options.sabotage);
-        let config = SessionConfig::default().with_name(format!("swarm {number}")).with_tracker(tracker);
+        let config = SessionConfig::default()
+            .with_name(format!("swarm {number}"))
+            .with_token(token.clone())
+            .with_tracker(tracker);
         Session::new(config, Box::new(move || Box::new(DynamicOctree::new(bounds))))
     };
 

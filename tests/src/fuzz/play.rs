@@ -55,7 +55,7 @@ fn furnished() -> WorldSpec {
         node: None,
         position: [f64::from(number) - 1.0, 0.0, 0.0],
         heading: 0.0,
-        takeable: number % 2 == 0,
+        takeable: number.is_multiple_of(2),
         path: (number == 3).then(|| PathSpec {
             points: vec![[2.0, 0.0, 0.0], [2.0, 0.0, 3.0]],
             speed: 0.5,
@@ -163,7 +163,8 @@ fn steps(world: &mut World, bytes: &mut Unstructured<'_>) -> Result<()> {
                 client.id = world.connect_from(now, caller);
                 client.seq = 0;
                 client.session.reconnect();
-                (client.control.clear(), client.datagrams.clear()).0;
+                client.control.clear();
+                client.datagrams.clear();
             }
             _ => {}
         }

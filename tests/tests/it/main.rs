@@ -1,7 +1,8 @@
-//! Whole-system scenarios in virtual time. Each name is a claim.
+//! Whole-system scenarios, in virtual time but for `gate`, which needs real handshakes. Each name is a claim.
 
 mod corpus;
 mod events;
+mod gate;
 mod hostile;
 mod mutants;
 mod network;

@@ -3,8 +3,10 @@
 use eyeline_protocol::codec::{self, DatagramWriter};
 use eyeline_protocol::{
     ClientControl, ClientHeader, ClientId, ClientRecord, Command, Interest, LinkHeader, ObjectId, Orientation,
-    Position, Reason, Resume, Role, ServerControl, ServerHeader, ServerRecord, VERSION, Velocity, Want, WorldTime,
+    Position, Rank, Reason, Resume, Role, ServerControl, ServerHeader, ServerRecord, VERSION, Velocity, Want,
+    WorldTime,
 };
+use eyeline_server::token::{self, Claims};
 use eyeline_sim::scene::plan::RoomsRules;
 use eyeline_sim::scene::rooms;
 use rand::{RngExt, SeedableRng};
@@ -14,7 +16,7 @@ type Seed = (&'static str, String, Vec<u8>);
 
 /// All of them: target, name, bytes.
 pub fn all() -> Vec<Seed> {
-    [wire(), files(), plays()].concat()
+    [wire(), files(), settings(), plays()].concat()
 }
 
 fn wire() -> Vec<Seed> {
@@ -84,6 +86,34 @@ fn files() -> Vec<Seed> {
         ("trace", "eth".into(), eth.into()),
         ("trace", "csv".into(), csv.into()),
         ("trace", "cut".into(), eth[..20].into()),
+    ]
+}
+
+fn settings() -> Vec<Seed> {
+    let example = eyeline_server::config::show::example::<eyeline_server::config::options::ServerOptions>();
+    // The example has everything in comments; here it is in force.
+    let in_force: String =
+        example.lines().map(|line| line.strip_prefix("# ").unwrap_or(line).to_owned() + "\n").collect();
+    let (secret, public) = token::make_keys().unwrap();
+    let claims = Claims {
+        id: "0123456789abcdef".into(),
+        audience: "fuzz".into(),
+        subject: "anna".into(),
+        role: Rank::Actor,
+        avatars: 1,
+        issued: WorldTime::from_micros(1_800_000_000_000_000),
+        expires: WorldTime::from_micros(1_800_003_600_000_000),
+    };
+    let issued = secret.issue(&claims).unwrap();
+    let cut = issued[..issued.len() - 40].to_owned();
+    vec![
+        ("config", "example".into(), example.into_bytes()),
+        ("config", "in-force".into(), in_force.into_bytes()),
+        ("config", "wrong".into(), b"tick_hz = \"fast\"\n[gate]\nanonimous = 3\nkeys = 7\n".to_vec()),
+        ("token", "foreign".into(), issued.into_bytes()),
+        ("token", "cut".into(), cut.into_bytes()),
+        ("token", "key".into(), public.text().into_bytes()),
+        ("token", "revoked".into(), b"id 0123456789abcdef\nsubject anna 2027-01-01T00:00:00Z\n# a remark\n".to_vec()),
     ]
 }
 
