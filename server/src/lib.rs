@@ -9,6 +9,7 @@ pub mod audit;
 pub mod gate;
 #[cfg(any(feature = "net", feature = "audit"))]
 mod hash;
+pub mod histogram;
 #[cfg(feature = "audit")]
 pub mod model;
 #[cfg(feature = "net")]

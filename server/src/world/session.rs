@@ -16,6 +16,7 @@ use glam::DVec3;
 use super::admission::RosterMark;
 use super::blur::Known;
 use super::lens::Lens;
+use super::limits::{Meter, Size};
 use super::{AVATAR_CLASS, Object, SessionId, WorldStats};
 use crate::gate::{Caller, Permit};
 use crate::policy::Watcher;
@@ -144,6 +145,8 @@ pub(super) struct Session {
     pub heard_at: WorldTime,
     pub owes_ack: bool,
     pub datagram_limit: usize,
+    /// What it asked for of late.
+    pub meter: Meter,
     pub bounds_due: BTreeSet<ObjectId>,
     pub violations: BTreeMap<ObjectId, Violation>,
     link: Link<Carried>,
@@ -187,6 +190,7 @@ impl Session {
             heard_at: now,
             owes_ack: false,
             datagram_limit: DATAGRAM_LIMIT_DEFAULT,
+            meter: Meter::default(),
             bounds_due: BTreeSet::new(),
             violations: BTreeMap::new(),
             link: Link::default(),
@@ -261,6 +265,21 @@ impl Session {
             self.send_again(carried);
         }
         arrival == Arrival::New
+    }
+
+    /// What its limits grow with, in a world of so many objects.
+    pub fn size(&self, objects: usize) -> Size {
+        Size { avatars: self.avatars.len(), objects }
+    }
+
+    /// Number of objects whose states it is told of.
+    pub fn visible(&self) -> usize {
+        self.subscriptions.values().filter(|subscription| subscription.active).count()
+    }
+
+    /// Number of states that are due.
+    pub fn states_due(&self) -> usize {
+        self.states_due.len()
     }
 
     /// What a lost datagram carried is due again, unless something newer has been sent since.
