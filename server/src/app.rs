@@ -3,107 +3,29 @@
 use std::fmt::Write as _;
 use std::io::{IsTerminal as _, Write as _};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
-use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
 use bytes::Bytes;
-use clap::Args;
-use clap::builder::PossibleValuesParser;
 use eyeline_protocol::WorldTime;
 
-use crate::model::{Model, POLICIES};
-use crate::net::{Handle, Identity, Server, WorldClock};
+use crate::config::check;
+pub use crate::config::options::{ServeOptions, number};
+use crate::model::Model;
+use crate::net::{Handle, Server, WorldClock};
 use crate::policy::{PolicySettings, PvsTable};
 use crate::world::WorldConfig;
-
-/// Everything about serving but the world itself.
-#[derive(Args, Clone, Debug)]
-pub struct ServeOptions {
-    /// Whom a client is told about: `visible` (only what it could see: it holds bounds and asks), `broadcast`
-    /// (everything), `oracle` (exactly what it sees; the server culls, so it costs much CPU), `radius` (what is within
-    /// --radius), `grid` (what is in its own square of --cell metres and the eight around it), `pvs` (what is in a cell that
-    /// may be seen from its own, by the table --pvs)
-    #[arg(long, default_value = "visible", value_parser = PossibleValuesParser::new(POLICIES), hide_possible_values = true)]
-    pub policy: String,
-
-    /// For the policy `radius`: how far from the eye an object is told of, metres; a tenth farther it is withdrawn
-    #[arg(long, value_name = "METRES", default_value_t = PolicySettings::default().radius, value_parser = number(0.01..=1e7, "m"))]
-    pub radius: f64,
-
-    /// For the policy `grid`: side of a square, metres
-    #[arg(long, value_name = "METRES", default_value_t = PolicySettings::default().cell, value_parser = number(0.01..=1e7, "m"))]
-    pub cell: f64,
-
-    /// For the policy `pvs`: the table of potential visibility, which `eyeline-sim bake` makes for a model
-    #[arg(long, value_name = "FILE", required_if_eq("policy", "pvs"))]
-    pub pvs: Option<PathBuf>,
-
-    /// UDP address and port to listen on; port 0 lets the system choose
-    #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:4433")]
-    pub listen: SocketAddr,
-
-    /// Folder of the certificate and its key; both are made there on the first run
-    #[arg(long, value_name = "DIR", default_value = "eyeline-identity")]
-    pub identity: PathBuf,
-
-    /// Commits of the world's state a second, Hz
-    #[arg(long, value_name = "HZ", default_value_t = 20.0, value_parser = number(0.1..=1000.0, "Hz"))]
-    pub tick_hz: f64,
-
-    /// Least radius within which a hidden object's place is kept uncertain, metres; more hides more and costs messages
-    #[arg(long, value_name = "METRES", default_value_t = 1.0, value_parser = number(0.0..=1000.0, "m"))]
-    pub blur: f64,
-
-    /// Seed of the secret grid that hides places; only for tests, since who knows it knows more [default: random]
-    #[arg(long, value_name = "N")]
-    pub seed: Option<u64>,
-
-    /// Most avatars in the world at once
-    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    pub max_avatars: u32,
-
-    /// Greatest speed of an avatar, m/s; faster ones are held back [default: the world file's, else 2]
-    #[arg(long, value_name = "M/S", value_parser = number(0.0..=1e6, "m/s"))]
-    pub avatar_speed: Option<f64>,
-
-    /// Look for oneself whether a client may see what it asks the place of, and answer with a bound if not. Costs CPU
-    #[arg(long)]
-    pub audit: bool,
-
-    /// Tell a state only when a client would otherwise draw something wrong by more than so many of its pixels [default: at
-    /// each change]
-    #[arg(long, value_name = "PX", value_parser = number(0.0..=1000.0, "px"))]
-    pub dead_reckoning: Option<f64>,
-
-    /// Most bytes a second to one client; what is largest and oldest goes first [default: no limit]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1000..))]
-    pub bytes_per_second: Option<u32>,
-
-    /// Once listening, write the address and the fingerprint into this file, a line each, for scripts and
-    /// `--server-file`; it is removed at the end
-    #[arg(long, value_name = "FILE")]
-    pub ready_file: Option<PathBuf>,
-}
-
-/// A number on the command line, held to a range; its unit may follow it.
-pub fn number(
-    range: RangeInclusive<f64>,
-    unit: &'static str,
-) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
-    move |text| match text.strip_suffix(unit).unwrap_or(text).trim_end().parse::<f64>() {
-        Ok(value) if range.contains(&value) => Ok(value),
-        _ => Err(format!("give a number from {} to {} {unit}", range.start(), range.end())),
-    }
-}
 
 /// Serves `model` until Ctrl-C or SIGTERM. `notes` are what a reader should know about how it was loaded.
 ///
 /// # Errors
 /// If the world contradicts itself, the identity can't be used, or the address can't be listened on.
 pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyhow::Result<()> {
+    if let Some((_, wrong)) = check::contradictions(options).into_iter().next() {
+        anyhow::bail!(wrong);
+    }
     if let Some(speed) = options.avatar_speed {
         model.spec.avatar.speed_max = speed;
     }
@@ -128,12 +50,16 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         let audit = model.audit(world.classes());
         world.set_audit(audit);
     }
-    let identity = Identity::load_or_create(&options.identity)?;
+    let mut identity = options.certificate()?;
+    let reloader = identity.reloader();
     let fingerprint = identity.fingerprint_hex();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let summary = runtime.block_on(async {
         let shutdown = shutdown_signal()?;
         let bytes = Bytes::from_owner(model.bytes.clone());
+        if let Some(reloader) = reloader {
+            tokio::spawn(reloader.run());
+        }
         let server = Server::bind(options.listen, identity, world, bytes, clock, None)?;
         let address = server.local_addr()?;
         let mut text = describe(options, &model, &settings, notes);
@@ -211,7 +137,7 @@ fn summary(handle: &Handle) -> String {
 }
 
 /// Writes to standard output at once. Who has closed it does not want to read, which is no reason to end.
-fn print(text: &str) {
+pub fn print(text: &str) {
     let mut out = std::io::stdout().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }
@@ -292,7 +218,7 @@ pub fn init_logs() {
 }
 
 /// Chance from the system.
-fn random() -> anyhow::Result<u64> {
+pub(crate) fn random() -> anyhow::Result<u64> {
     use ring::rand::SecureRandom;
     let mut bytes = [0; 8];
     let filled = ring::rand::SystemRandom::new().fill(&mut bytes);
@@ -302,7 +228,7 @@ fn random() -> anyhow::Result<u64> {
 
 /// World time is the calendar's, so that it goes on after a restart.
 #[expect(clippy::disallowed_methods, reason = "a driver: it sets the world's clock")]
-fn unix_time() -> WorldTime {
+pub fn unix_time() -> WorldTime {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
     WorldTime::ZERO + since
 }
@@ -310,15 +236,6 @@ fn unix_time() -> WorldTime {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn numbers_are_held_to_their_range() {
-        let hz = number(0.1..=1000.0, "Hz");
-        assert_eq!([hz("20"), hz("20Hz"), hz("20 Hz")], [Ok(20.0), Ok(20.0), Ok(20.0)]);
-        for bad in ["", "0", "-1", "nan", "inf", "1001", "20ms", "Hz"] {
-            assert_eq!(hz(bad).unwrap_err(), "give a number from 0.1 to 1000 Hz", "{bad}");
-        }
-    }
 
     #[test]
     fn an_error_is_one_line_and_says_nothing_twice() {

@@ -6,6 +6,8 @@
 #[cfg(all(feature = "net", feature = "audit"))]
 pub mod app;
 pub mod audit;
+#[cfg(all(feature = "net", feature = "audit"))]
+pub mod config;
 pub mod gate;
 #[cfg(any(feature = "net", feature = "audit"))]
 mod hash;
@@ -17,4 +19,6 @@ pub mod net;
 pub mod path;
 pub mod policy;
 pub mod spec;
+#[cfg(feature = "net")]
+pub mod token;
 pub mod world;

@@ -19,7 +19,7 @@ pub fn quic_config(identity: Identity) -> Result<quinn::ServerConfig, ServeError
     let mut tls = rustls::ServerConfig::builder_with_provider(provider)
         .with_protocol_versions(&[&rustls::version::TLS13])?
         .with_no_client_auth()
-        .with_single_cert(vec![identity.certificate], identity.key)?;
+        .with_cert_resolver(identity.shown());
     tls.alpn_protocols = vec![ALPN.to_vec()];
     let mut config = quinn::ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(tls)?));
     config.transport_config(Arc::new(transport()));

@@ -8,14 +8,17 @@
 #![expect(clippy::disallowed_methods, clippy::disallowed_types)]
 
 mod arrivals;
+mod bans;
 mod clock;
 mod connection;
 mod endpoint;
 mod flush;
+mod gate;
 mod identity;
 mod life;
 mod metrics;
 mod watch;
+mod watched;
 
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -25,12 +28,15 @@ use std::time::{Duration, Instant};
 
 pub use arrivals::{ArrivalCounts, ArrivalLimits, Declined};
 use arrivals::{Arrivals, Verdict};
+pub use bans::BANS_MAX;
 use bytes::Bytes;
 pub use clock::WorldClock;
 pub use endpoint::{quic_config, socket};
 use eyeline_protocol::WorldTime;
 use flush::Core;
-pub use identity::{Identity, IdentityError};
+pub use gate::{Anonymous, GateError, KEYS_MAX, TokenGate};
+pub(crate) use identity::write_private;
+pub use identity::{Identity, IdentityError, Reloader};
 use life::Life;
 pub use life::Stage;
 pub use watch::{Watch, WatchError};
