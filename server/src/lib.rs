@@ -20,5 +20,7 @@ pub mod path;
 pub mod policy;
 pub mod spec;
 #[cfg(feature = "net")]
+pub mod stop;
+#[cfg(feature = "net")]
 pub mod token;
 pub mod world;

@@ -171,6 +171,11 @@ impl ArrivalCounts {
     pub fn declined(&self, why: Declined) -> u64 {
         self.declined[why as usize]
     }
+
+    /// All that were declined.
+    pub fn declined_in_all(&self) -> u64 {
+        self.declined.iter().sum()
+    }
 }
 
 /// What to do with a first packet.
