@@ -363,6 +363,21 @@ mod tests {
     }
 
     #[test]
+    fn unless_told_otherwise_limits_are_those_that_nobody_honest_meets() {
+        use clap::Parser;
+        #[derive(Parser)]
+        struct Only {
+            #[command(flatten)]
+            limits: LimitOptions,
+        }
+        let limits = Only::parse_from(["x"]).limits;
+        assert_eq!(limits.of_a_client(), Limits::default());
+        assert_eq!(limits.of_arrivals(), ArrivalLimits::default());
+        let limits = Only::parse_from(["x", "--limit-requests-per-second", "7"]).limits;
+        assert_eq!(limits.of_a_client().rate(Limited::Requests).burst, 14.0);
+    }
+
+    #[test]
     fn spans_have_units_and_a_range() {
         let span = span(Duration::from_secs(30 * 86_400));
         let hours = |hours: u64| Ok(Duration::from_secs(hours * 3_600));

@@ -301,10 +301,10 @@ impl World {
             self.stats.stale_datagrams += 1;
             return;
         }
-        // Who says that everything got lost, again and again, has it told again no sooner than at the next tick.
+        // Who says that everything got lost, again and again, is told again no sooner than at the next tick.
         let lost = session.states_due().saturating_sub(due);
-        let may_answer =
-            lost == 0 || session.meter.take((Limited::Resends, lost), limits, size, now, &mut self.stats.limited);
+        session.waits_for_tick |=
+            lost > 0 && !session.meter.take((Limited::Resends, lost), limits, size, now, &mut self.stats.limited);
         let mut over = false;
         session.heard_at = now;
         session.owes_ack = true;
@@ -379,7 +379,7 @@ impl World {
         if over {
             session.meter.bear(limits, now);
         }
-        if answer && may_answer {
+        if answer && !session.waits_for_tick {
             self.awake.push_back(id);
         }
         self.send_away_if_spent(id);
@@ -684,6 +684,9 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
 
 #[cfg(test)]
 mod audit_tests;
+
+#[cfg(test)]
+mod limits_tests;
 
 #[cfg(test)]
 mod push_tests;

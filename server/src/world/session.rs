@@ -147,11 +147,15 @@ pub(super) struct Session {
     pub datagram_limit: usize,
     /// What it asked for of late.
     pub meter: Meter,
+    /// Whether its requests are answered with the next tick only, since too much is said to have got lost.
+    pub waits_for_tick: bool,
     pub bounds_due: BTreeSet<ObjectId>,
     pub violations: BTreeMap<ObjectId, Violation>,
     link: Link<Carried>,
     /// For how long the client lets an acknowledgement wait, lately at most: it acknowledges with its next frame.
     hold_max: Duration,
+    /// What datagrams carried that were given up for lost because too many were under way; due again at the next tick.
+    given_up: Carried,
     subscriptions: BTreeMap<ObjectId, Subscription>,
     /// Bytes that may still go out; `None` without a cap.
     budget: Option<f64>,
@@ -191,10 +195,12 @@ impl Session {
             owes_ack: false,
             datagram_limit: DATAGRAM_LIMIT_DEFAULT,
             meter: Meter::default(),
+            waits_for_tick: false,
             bounds_due: BTreeSet::new(),
             violations: BTreeMap::new(),
             link: Link::default(),
             hold_max: Duration::ZERO,
+            given_up: Vec::new(),
             subscriptions: BTreeMap::new(),
             budget: None,
             held_back: BTreeSet::new(),
@@ -306,6 +312,8 @@ impl Session {
         let mut lost = Vec::new();
         // The round trip leaves out what the client held its acknowledgement for; without it all that it holds would be lost.
         self.link.expire(now - self.hold_max, |carried| lost.push(carried));
+        lost.push(std::mem::take(&mut self.given_up));
+        self.waits_for_tick = false;
         for carried in lost {
             self.send_again(carried);
         }
@@ -603,7 +611,8 @@ impl Session {
         let (link, lost) = self.link.send(carried, local);
         if let Some(lost) = lost {
             stats.datagrams_lost += 1;
-            self.send_again(lost);
+            // Not at once: who acknowledges nothing would have us build without end.
+            self.given_up.extend(lost);
         }
         let mut writer = DatagramWriter::new(&ServerHeader { link, sent: now, tick }, self.datagram_limit);
         for record in &records {
