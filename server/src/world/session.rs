@@ -97,6 +97,8 @@ pub(super) struct Moment<'a> {
     pub tick: WorldTime,
     /// The client's bit in the holders' sets.
     pub slot: usize,
+    /// Most bytes that the datagram may have.
+    pub room: usize,
     /// Whether states say how they go on.
     pub reckons: bool,
     /// What weighs states against each other where a byte cap binds.
@@ -483,6 +485,7 @@ impl Session {
         mut bound: impl FnMut(&mut Object, Option<&mut Known>) -> Option<WireTbv>,
     ) -> Option<Vec<u8>> {
         let Moment { now, tick, slot, .. } = moment;
+        let limit = self.datagram_limit.min(moment.room);
         let timeout = self.link.timeout();
         let may_tell = self.budget.is_none_or(|budget| budget > 0.0);
         let violations_due = self.violations.values().any(|violation| violation.is_due(now, timeout));
@@ -506,7 +509,7 @@ impl Session {
             sent: WorldTime::MAX,
             tick: WorldTime::MAX,
         };
-        let mut writer = DatagramWriter::new(&probe, self.datagram_limit);
+        let mut writer = DatagramWriter::new(&probe, limit);
         let mut full = false;
         for (&object, violation) in &mut self.violations {
             if full || !violation.is_due(now, timeout) {
@@ -614,7 +617,7 @@ impl Session {
             // Not at once: who acknowledges nothing would have us build without end.
             self.given_up.extend(lost);
         }
-        let mut writer = DatagramWriter::new(&ServerHeader { link, sent: now, tick }, self.datagram_limit);
+        let mut writer = DatagramWriter::new(&ServerHeader { link, sent: now, tick }, limit);
         for record in &records {
             let fits = writer.push(record);
             debug_assert!(fits, "the probe's header is the longest there is");
