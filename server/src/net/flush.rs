@@ -33,12 +33,14 @@ pub(super) struct Peer {
     queued_at: Option<WorldTime>,
     /// The room in QUIC's buffer when nothing waits: quinn keeps some of it for itself.
     empty_space: usize,
+    /// Whether it was closed since it does not read; its task will notice.
+    is_closed: bool,
 }
 
 impl Peer {
     pub fn new(connection: quinn::Connection, control: mpsc::Sender<Outgoing>) -> Peer {
         let empty_space = connection.datagram_send_buffer_space();
-        Peer { connection, control, waiting: Arc::default(), queued_at: None, empty_space }
+        Peer { connection, control, waiting: Arc::default(), queued_at: None, empty_space, is_closed: false }
     }
 
     /// How many bytes of datagrams QUIC will have sent a tick from now if it gets them now.
@@ -76,7 +78,7 @@ impl Core {
             let peers = &mut self.peers;
             let room = |id| peers.get_mut(&id).map_or(usize::MAX, |peer| peer.room(now, tick));
             let Some((id, transmit)) = self.world.poll_transmit_where(now, room) else { break };
-            let Some(peer) = self.peers.get_mut(&id) else { continue };
+            let Some(peer) = self.peers.get_mut(&id).filter(|peer| !peer.is_closed) else { continue };
             let outgoing = match transmit {
                 Transmit::Datagram(bytes) => {
                     peer.queued_at.get_or_insert(now);
@@ -96,6 +98,7 @@ impl Core {
             let most = CONTROL_BYTES + CONTROL_BYTES_PER_OBJECT * self.world.objects().len();
             if waiting > most || peer.control.try_send(outgoing).is_err() {
                 self.stats.slow_readers += 1;
+                peer.is_closed = true;
                 peer.connection.close(1u32.into(), b"does not read its control stream");
             }
         }

@@ -123,7 +123,11 @@ impl Page<'_> {
     ) -> Result<(), Error> {
         let mut metric = self.0.encode_descriptor(name, help, None, kind)?;
         for &(labels, value) in rows {
-            write(metric.encode_family(&labels)?, value)?;
+            match labels {
+                // Without this there would be empty braces.
+                [] => return write(metric, value),
+                _ => write(metric.encode_family(&labels)?, value)?,
+            }
         }
         Ok(())
     }
@@ -148,10 +152,7 @@ impl Page<'_> {
 
     fn histogram(&mut self, name: &str, help: &str, values: &Histogram) -> Result<(), Error> {
         self.family(name, help, MetricType::Histogram, &[(&[], values)], |mut metric, values| {
-            let buckets: Vec<(f64, u64)> = values
-                .buckets()
-                .map(|(bound, count)| (if bound.is_finite() { bound } else { f64::MAX }, count))
-                .collect();
+            let buckets: Vec<(f64, u64)> = values.buckets().collect();
             metric.encode_histogram::<[(&str, &str); 0]>(values.sum(), values.count(), &buckets, None)
         })
     }

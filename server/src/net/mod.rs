@@ -232,6 +232,11 @@ impl Handle {
         self.arrivals().counts
     }
 
+    /// Addresses that have limits of their own now.
+    pub fn remembered_addresses(&self) -> usize {
+        self.arrivals().remembered()
+    }
+
     /// Connections that have not been let in, and all; handshakes included.
     pub fn open_connections(&self) -> (usize, usize) {
         self.arrivals().open()
