@@ -1,5 +1,6 @@
 //! Whole-system scenarios in virtual time. Each name is a claim.
 
+mod floods;
 mod hostile;
 mod mutants;
 mod network;
