@@ -42,8 +42,8 @@ pub(super) struct Snapshot {
 }
 
 impl Snapshot {
-    /// Copies what is told. The world stands still only while it is copied: about 10 ns for each object that a client sees, and
-    /// 100 for each client.
+    /// Copies what is told. The world stands still only while it is copied, which takes longer the more clients see; the
+    /// metric `scrape_hold_seconds` says how long.
     pub fn take(handle: &Handle) -> Snapshot {
         let core = handle.lock();
         let started = Instant::now();

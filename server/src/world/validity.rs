@@ -19,7 +19,7 @@ const PERIODS: &[f64] = &[0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 
 /// Bounds of growth, metres.
 const METRES: &[f64] = &[0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 200.0];
 
-/// Most pairs that are noted, of about 40 bytes each.
+/// Most pairs that are noted.
 const PAIRS_MAX: usize = 4_096;
 
 /// How long bounds last, by a sample of clients and objects.
