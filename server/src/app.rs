@@ -12,10 +12,12 @@ use bytes::Bytes;
 use eyeline_protocol::WorldTime;
 
 use crate::config::check;
-pub use crate::config::options::{ServeOptions, number};
+pub use crate::config::options::{LogFormat, ServeOptions, number};
 use crate::model::Model;
-use crate::net::{Anonymous, Handle, Server, WorldClock};
+use crate::net::{Anonymous, Handle, Server, ShellConfig, Watch, WorldClock};
 use crate::policy::{PolicySettings, PvsTable};
+use crate::stop;
+pub use crate::stop::signal as shutdown_signal;
 use crate::world::WorldConfig;
 
 /// Serves `model` until Ctrl-C or SIGTERM. `notes` are what a reader should know about how it was loaded.
@@ -26,6 +28,11 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
     if let Some((_, wrong)) = check::contradictions(options).into_iter().next() {
         anyhow::bail!(wrong);
     }
+    init_logs_as(options.watch.log);
+    // Before anything that takes long: it is alive, and says that it is not ready.
+    let watch = options.watch.metrics.map(|at| Watch::start(at, options.watch.metrics_anywhere)).transpose()?;
+    let ready_file = options.ready_file.clone();
+    let shutdown = stop::signals(move || drop(ready_file.map(std::fs::remove_file)))?;
     if let Some(speed) = options.avatar_speed {
         model.spec.avatar.speed_max = speed;
     }
@@ -40,6 +47,7 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         .with_dead_reckoning_px(options.dead_reckoning)
         .with_bytes_per_second(options.bytes_per_second)
         .with_resume_grace(Duration::from_secs_f64(options.resume_seconds))
+        .with_limits(options.limits.of_a_client())
         .with_avatars_max(options.max_avatars as usize);
     let clock = WorldClock::starting_at(unix_time());
     let mut settings = PolicySettings::default().with_radius(options.radius).with_cell(options.cell);
@@ -57,25 +65,34 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
     let fingerprint = identity.fingerprint_hex();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let summary = runtime.block_on(async {
-        let shutdown = shutdown_signal()?;
         let bytes = Bytes::from_owner(model.bytes.clone());
         if let Some(reloader) = reloader {
             tokio::spawn(reloader.run());
         }
-        let server = Server::bind(options.listen, identity, world, bytes, clock, None)?;
+        let server =
+            Server::bind(options.listen, identity, world, bytes, clock, None)?.with_config(shell_config(options));
         let address = server.local_addr()?;
         let mut text = describe(options, &model, &settings, notes);
         let _ = writeln!(text, "listening    {address} (QUIC over UDP); Ctrl-C ends it");
         let _ = writeln!(text, "fingerprint  {fingerprint}");
+        let handle = server.handle();
+        if let Some(watch) = &watch {
+            watch.attach(&handle);
+            let _ = writeln!(text, "watched      http://{}/metrics, /healthz, /readyz", watch.local_addr());
+        }
         print(&text);
         let _ready =
             options.ready_file.as_deref().map(|path| ReadyFile::write(path, address, &fingerprint)).transpose()?;
-        let handle = server.handle();
         server.run(shutdown).await;
         anyhow::Ok(summary(&handle))
     })?;
     print(&summary);
     Ok(())
+}
+
+fn shell_config(options: &ServeOptions) -> ShellConfig {
+    let drain = Duration::from_secs_f64(options.watch.drain_seconds);
+    ShellConfig::default().with_arrivals(options.limits.of_arrivals()).with_drain(drain)
 }
 
 /// What is served, and how: the lines that a server begins with.
@@ -136,10 +153,11 @@ fn describe(options: &ServeOptions, model: &Model, settings: &PolicySettings, no
 /// What happened: the line that a server ends with.
 fn summary(handle: &Handle) -> String {
     let stats = handle.with_world(|world| *world.stats());
-    let shell = handle.stats();
+    let (shell, arrivals) = (handle.stats(), handle.arrival_counts());
     format!(
         "ended        {} clients admitted, {} refused; rejected {} control messages, {} datagrams; {} messages in, \
-         {} out; {} poses and {} turns held back; {} places withheld; {} states capped, {} of them late; {} ticks, {} missed; {} slow readers\n",
+         {} out; {} poses and {} turns held back; {} places withheld; {} states capped, {} of them late; {} ticks, {} missed; {} slow readers; \
+         {} things asked for beyond limits, {} sent away for it; {} handshakes declined\n",
         stats.admitted,
         stats.refused,
         stats.rejected_control,
@@ -154,6 +172,9 @@ fn summary(handle: &Handle) -> String {
         stats.ticks,
         stats.ticks_missed,
         shell.slow_readers,
+        stats.limited.total(),
+        stats.busy,
+        arrivals.declined_in_all(),
     )
 }
 
@@ -192,29 +213,6 @@ impl Drop for ReadyFile<'_> {
     }
 }
 
-/// Ready when the process is asked to end: Ctrl-C, or SIGTERM where there is such a thing. Listens from the call on.
-///
-/// # Errors
-/// If the system does not let us listen for signals.
-pub fn shutdown_signal() -> anyhow::Result<impl Future<Output = ()>> {
-    #[cfg(unix)]
-    {
-        use tokio::signal::unix::{SignalKind, signal};
-        let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
-        let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
-        Ok(async move {
-            tokio::select! {
-                _ = interrupt.recv() => {}
-                _ = terminate.recv() => {}
-            }
-        })
-    }
-    #[cfg(not(unix))]
-    Ok(async {
-        let _ = tokio::signal::ctrl_c().await;
-    })
-}
-
 /// An error and its causes in one line. Some name their cause themselves, which is then not said again.
 pub fn one_line(error: &anyhow::Error) -> String {
     let mut text = String::new();
@@ -231,11 +229,19 @@ pub fn one_line(error: &anyhow::Error) -> String {
 
 /// Logs to standard error what `RUST_LOG` asks for; without it, warnings, and what Eyeline itself has to tell.
 pub fn init_logs() {
+    init_logs_as(LogFormat::Text);
+}
+
+/// The same in a given format. Only the first call of a process counts.
+pub fn init_logs_as(format: LogFormat) {
     use tracing_subscriber::EnvFilter;
     let default = || "warn,eyeline_server=info,eyeline_client=info,eyeline_sim=info".into();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| default());
-    let colours = std::io::stderr().is_terminal();
-    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
+    let logs = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let _ = match format {
+        LogFormat::Text => logs.with_ansi(std::io::stderr().is_terminal()).try_init(),
+        LogFormat::Json => logs.json().flatten_event(true).with_current_span(false).with_span_list(false).try_init(),
+    };
 }
 
 /// Chance from the system.

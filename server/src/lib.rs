@@ -61,6 +61,7 @@ pub mod config;
 pub mod gate;
 #[cfg(any(feature = "net", feature = "audit"))]
 mod hash;
+pub mod histogram;
 #[cfg(feature = "audit")]
 pub mod model;
 #[cfg(feature = "net")]
@@ -68,6 +69,8 @@ pub mod net;
 pub mod path;
 pub mod policy;
 pub mod spec;
+#[cfg(feature = "net")]
+pub mod stop;
 #[cfg(feature = "net")]
 pub mod token;
 pub mod world;

@@ -81,7 +81,10 @@ const EXAMPLES: &str = "Examples:
 
 fn main() -> ExitCode {
     let options = Options::parse();
-    app::init_logs();
+    // Serving, they are as the settings say; else for people.
+    if options.verb.is_some() {
+        app::init_logs();
+    }
     let ran = match options.verb {
         None => serve(&options.server),
         Some(Verb::Config(Config::Print(print))) => load(&print.server).map(|loaded| say(&show::effective(&loaded))),
@@ -110,6 +113,7 @@ fn load(flags: &Flags<ServerOptions>) -> anyhow::Result<Loaded<ServerOptions>> {
 
 fn serve(flags: &Flags<ServerOptions>) -> anyhow::Result<()> {
     let options = load(flags)?.options;
+    app::init_logs_as(options.serve.watch.log);
     let world =
         options.world.with_context(|| format!("which world? give --world FILE, or world = … in {USUAL_FILE}"))?;
     let model = Model::load(&world, options.world_file.as_deref())?;

@@ -26,7 +26,10 @@ const EXAMPLES: &str = "Examples:
 
 fn main() -> ExitCode {
     let options = Options::parse();
-    eyeline_server::app::init_logs();
+    // `serve` writes logs as its settings say.
+    if !matches!(options.verb, Some(verbs::Verb::Serve(_))) {
+        eyeline_server::app::init_logs();
+    }
     let ran = match options.verb {
         Some(verb) => verbs::run(&verb),
         None => verbs::demo(),

@@ -12,8 +12,9 @@ use clap::{Args, ValueEnum};
 use eyeline_protocol::Rank;
 
 use crate::model::POLICIES;
-use crate::net::{Anonymous, GateError, Identity, IdentityError, TokenGate};
+use crate::net::{Anonymous, ArrivalLimits, GateError, Identity, IdentityError, TokenGate};
 use crate::policy::PolicySettings;
+use crate::world::{Limited, Limits, Rate};
 
 /// Everything that `eyeline-server` can be told.
 #[derive(Args, Clone, Debug)]
@@ -206,6 +207,10 @@ pub struct WatchOptions {
     #[arg(id = "watch.metrics", long = "metrics", value_name = "IP:PORT", value_parser = address)]
     pub metrics: Option<SocketAddr>,
 
+    /// Let --metrics be an address that others can reach too. Nobody is asked who they are
+    #[arg(id = "watch.metrics_anywhere", long = "metrics-anywhere")]
+    pub metrics_anywhere: bool,
+
     /// How logs are written to standard error
     #[arg(id = "watch.log", long = "log", value_name = "FORMAT", default_value = "text")]
     pub log: LogFormat,
@@ -230,32 +235,56 @@ pub enum LogFormat {
 #[command(next_help_heading = "Limits: what one client or address may cost")]
 pub struct LimitOptions {
     /// Most connections at once
-    #[arg(id = "limits.connections_max", long = "limit-connections", value_name = "N", default_value_t = 8192, value_parser = limit, hide_short_help = true)]
+    #[arg(id = "limits.connections_max", long = "limit-connections", value_name = "N", default_value_t = 4352, value_parser = limit, hide_short_help = true)]
     pub connections_max: u32,
 
-    /// Most connections at once from one address
-    #[arg(id = "limits.connections_per_address", long = "limit-connections-per-address", value_name = "N", default_value_t = 4096, value_parser = limit, hide_short_help = true)]
+    /// Most connections at once from one address; those of this machine share what all may have
+    #[arg(id = "limits.connections_per_address", long = "limit-connections-per-address", value_name = "N", default_value_t = 128, value_parser = limit, hide_short_help = true)]
     pub connections_per_address: u32,
 
     /// Most handshakes a second from one address, in the long run
-    #[arg(id = "limits.handshakes_per_second_per_address", long = "limit-handshakes-per-second", value_name = "N", default_value_t = 50, value_parser = limit, hide_short_help = true)]
+    #[arg(id = "limits.handshakes_per_second_per_address", long = "limit-handshakes-per-second", value_name = "N", default_value_t = 4, value_parser = limit, hide_short_help = true)]
     pub handshakes_per_second_per_address: u32,
 
     /// Most handshakes at once from one address before that holds
-    #[arg(id = "limits.handshakes_burst", long = "limit-handshakes-burst", value_name = "N", default_value_t = 4096, value_parser = limit, hide_short_help = true)]
+    #[arg(id = "limits.handshakes_burst", long = "limit-handshakes-burst", value_name = "N", default_value_t = 64, value_parser = limit, hide_short_help = true)]
     pub handshakes_burst: u32,
 
-    /// Most requests a second of one client
-    #[arg(id = "limits.requests_per_second", long = "limit-requests-per-second", value_name = "N", default_value_t = 100_000, value_parser = limit, hide_short_help = true)]
+    /// Most requests a second of one client in an empty world, twice as many at once; each object in it adds a 512th
+    #[arg(id = "limits.requests_per_second", long = "limit-requests-per-second", value_name = "N", default_value_t = 2_048, value_parser = limit, hide_short_help = true)]
     pub requests_per_second: u32,
 
-    /// Most poses a second of each avatar of a client
-    #[arg(id = "limits.poses_per_second", long = "limit-poses-per-second", value_name = "N", default_value_t = 250, value_parser = limit, hide_short_help = true)]
+    /// Most poses a second of each avatar of a client, twice as many at once
+    #[arg(id = "limits.poses_per_second", long = "limit-poses-per-second", value_name = "N", default_value_t = 240, value_parser = limit, hide_short_help = true)]
     pub poses_per_second: u32,
 
-    /// Most bytes a second from one client
-    #[arg(id = "limits.bytes_per_second_in", long = "limit-bytes-per-second-in", value_name = "N", default_value_t = 32_000_000, value_parser = limit, hide_short_help = true)]
+    /// Most bytes a second from one client, twice as many at once; each avatar but its first adds a 30th
+    #[arg(id = "limits.bytes_per_second_in", long = "limit-bytes-per-second-in", value_name = "N", default_value_t = 262_144, value_parser = limit, hide_short_help = true)]
     pub bytes_per_second_in: u32,
+}
+
+impl LimitOptions {
+    /// What one client may ask for.
+    pub fn of_a_client(&self) -> Limits {
+        let rate = |kind: Limited, per_second: u32| {
+            let per_second = f64::from(per_second);
+            Rate { per_second, burst: 2.0 * per_second, ..Limits::default().rate(kind) }
+        };
+        let requests = rate(Limited::Requests, self.requests_per_second);
+        Limits::default()
+            .with_rate(Limited::Requests, requests)
+            .with_rate(Limited::Resends, requests)
+            .with_rate(Limited::Poses, rate(Limited::Poses, self.poses_per_second))
+            .with_rate(Limited::Bytes, rate(Limited::Bytes, self.bytes_per_second_in))
+    }
+
+    /// Who may begin to connect.
+    pub fn of_arrivals(&self) -> ArrivalLimits {
+        let (per_second, burst) = (self.handshakes_per_second_per_address, self.handshakes_burst);
+        ArrivalLimits::default()
+            .with_connections(self.connections_max as usize, self.connections_per_address as usize)
+            .with_handshakes_per_address(f64::from(per_second), f64::from(burst))
+    }
 }
 
 /// A number on the command line, held to a range; its unit may follow it.
@@ -335,6 +364,21 @@ mod tests {
         for bad in ["", "0", "-1", "nan", "inf", "1001", "20ms", "Hz"] {
             assert_eq!(hz(bad).unwrap_err(), "give a number from 0.1 to 1000 Hz", "{bad}");
         }
+    }
+
+    #[test]
+    fn unless_told_otherwise_limits_are_those_that_nobody_honest_meets() {
+        use clap::Parser;
+        #[derive(Parser)]
+        struct Only {
+            #[command(flatten)]
+            limits: LimitOptions,
+        }
+        let limits = Only::parse_from(["x"]).limits;
+        assert_eq!(limits.of_a_client(), Limits::default());
+        assert_eq!(limits.of_arrivals(), ArrivalLimits::default());
+        let limits = Only::parse_from(["x", "--limit-requests-per-second", "7"]).limits;
+        assert_eq!(limits.of_a_client().rate(Limited::Requests).burst, 14.0);
     }
 
     #[test]

@@ -7,29 +7,42 @@
 // This is a driver: it may read the clock and own sockets.
 #![expect(clippy::disallowed_methods, clippy::disallowed_types)]
 
+mod arrivals;
 mod bans;
+mod clock;
+mod connection;
+mod endpoint;
+mod flush;
 mod gate;
 mod identity;
+mod life;
+mod metrics;
+mod watch;
 mod watched;
 
 use std::collections::BTreeMap;
 use std::future::Future;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+pub use arrivals::{ArrivalCounts, ArrivalLimits, Declined};
+use arrivals::{Arrivals, Verdict};
 pub use bans::BANS_MAX;
 use bytes::Bytes;
-use eyeline_protocol::codec::ControlReader;
-use eyeline_protocol::{ALPN, WorldTime};
+pub use clock::WorldClock;
+pub use endpoint::{quic_config, socket};
+use eyeline_protocol::WorldTime;
+use flush::Core;
 pub use gate::{Anonymous, GateError, KEYS_MAX, TokenGate};
 pub(crate) use identity::write_private;
 pub use identity::{Identity, IdentityError, Reloader};
-use quinn::crypto::rustls::QuicServerConfig;
-use tokio::sync::mpsc;
+use life::Life;
+pub use life::Stage;
+pub use watch::{Watch, WatchError};
 
-use crate::gate::Caller;
-use crate::world::{PathState, SessionId, Transmit, World, room};
+use crate::histogram::{Histogram, SECONDS};
+use crate::world::World;
 
 /// Why a server can't start.
 #[derive(Debug, thiserror::Error)]
@@ -50,37 +63,8 @@ pub enum ServeError {
     Quic(#[from] quinn::crypto::rustls::NoInitialCipherSuite),
 }
 
-/// The world's time as a driver tells it: `base` at `epoch`.
-#[derive(Clone, Copy, Debug)]
-pub struct WorldClock {
-    epoch: Instant,
-    base: WorldTime,
-}
-
-impl WorldClock {
-    /// A clock that shows `base` now.
-    pub fn starting_at(base: WorldTime) -> WorldClock {
-        WorldClock { epoch: Instant::now(), base }
-    }
-
-    /// The time now.
-    pub fn now(&self) -> WorldTime {
-        self.base + self.epoch.elapsed()
-    }
-
-    /// The time that the clock shows at `instant`; its base before it started.
-    pub fn at(&self, instant: Instant) -> WorldTime {
-        self.base + instant.saturating_duration_since(self.epoch)
-    }
-
-    /// When the clock will show `time`.
-    pub fn instant(&self, time: WorldTime) -> Instant {
-        self.epoch + time.since(self.base)
-    }
-}
-
 /// What the shell itself counts.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct ShellStats {
     /// Time spent in the world and in handing its output to QUIC.
     pub work: Duration,
@@ -88,71 +72,174 @@ pub struct ShellStats {
     pub work_longest: Duration,
     /// Work of each tick, the newest last; at most [`TICKS_KEPT`].
     pub tick_micros: Vec<u32>,
+    /// Work of all ticks, seconds: the world's, and handing what comes of it to QUIC.
+    pub tick_work: Histogram,
+    /// How late all ticks began, seconds.
+    pub tick_lateness: Histogram,
+    /// Packets that were sent to those who have gone.
+    pub packets_sent: u64,
+    /// Of those, the ones that QUIC gave up for lost.
+    pub packets_lost: u64,
     /// Connections that were closed because they did not read what they were told.
     pub slow_readers: u64,
     /// Datagrams that did not fit the path or its buffer.
     pub datagrams_dropped: u64,
 }
 
-/// Room in QUIC for one client's datagrams of a tick, bytes.
-const DATAGRAM_BUFFER: usize = 64 * 1024;
+impl Default for ShellStats {
+    fn default() -> ShellStats {
+        ShellStats {
+            work: Duration::ZERO,
+            work_longest: Duration::ZERO,
+            tick_micros: Vec::new(),
+            tick_work: Histogram::new(SECONDS),
+            tick_lateness: Histogram::new(SECONDS),
+            packets_sent: 0,
+            packets_lost: 0,
+            slow_readers: 0,
+            datagrams_dropped: 0,
+        }
+    }
+}
+
+impl ShellStats {
+    /// Adds up what was sent on a connection that has ended.
+    fn note_path(&mut self, connection: &quinn::Connection) {
+        let path = connection.stats().path;
+        self.packets_sent += path.sent_packets;
+        self.packets_lost += path.lost_packets;
+    }
+}
+
+/// Settings of the shell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct ShellConfig {
+    /// Who may begin to connect.
+    pub arrivals: ArrivalLimits,
+    /// For how long a server that has been told to end waits at most until its clients have heard it; default 2 s.
+    pub drain: Duration,
+}
+
+impl Default for ShellConfig {
+    fn default() -> ShellConfig {
+        ShellConfig { arrivals: ArrivalLimits::default(), drain: Duration::from_secs(2) }
+    }
+}
+
+impl ShellConfig {
+    /// Sets who may begin to connect.
+    pub fn with_arrivals(self, arrivals: ArrivalLimits) -> ShellConfig {
+        ShellConfig { arrivals, ..self }
+    }
+
+    /// Sets for how long the end may take.
+    pub fn with_drain(self, drain: Duration) -> ShellConfig {
+        ShellConfig { drain, ..self }
+    }
+}
+
+/// What clients are told when the server ends.
+const ENDS: &str = "the server ends";
 
 /// How many ticks' work is remembered: an hour at 20 Hz.
 pub const TICKS_KEPT: usize = 72_000;
 
-/// Most control messages that wait for one client. A joining client of a full world is told of 16 M objects in 65,536.
-const CONTROL_QUEUE: usize = 4096;
-
 /// Called after each commit.
 pub type CommitHook = Box<dyn FnMut(&World) + Send>;
-
-struct Peer {
-    connection: quinn::Connection,
-    control: mpsc::Sender<Outgoing>,
-    /// When the oldest datagram was handed to QUIC that may still wait there.
-    queued_at: Option<WorldTime>,
-    /// The room in QUIC's buffer when nothing waits: quinn keeps some of it for itself.
-    empty_space: usize,
-}
-
-impl Peer {
-    /// How many bytes of datagrams QUIC will have sent a tick from now if it gets them now.
-    fn room(&mut self, now: WorldTime, tick: Duration) -> usize {
-        let queued_bytes = self.empty_space.saturating_sub(self.connection.datagram_send_buffer_space());
-        if queued_bytes == 0 {
-            self.queued_at = None;
-        }
-        let path = self.connection.stats().path;
-        let waited = self.queued_at.map(|at| now.since(at));
-        room(PathState { waited, queued_bytes, window_bytes: path.cwnd, round_trip: path.rtt }, tick)
-    }
-}
-
-enum Outgoing {
-    Control(Arc<[u8]>),
-    WorldBytes,
-    Close(String),
-}
-
-struct Core {
-    world: World,
-    peers: BTreeMap<SessionId, Peer>,
-    hook: Option<CommitHook>,
-    stats: ShellStats,
-}
 
 /// A handle on a running server. Cheap to clone.
 #[derive(Clone)]
 pub struct Handle {
     core: Arc<Mutex<Core>>,
+    arrivals: Arc<Mutex<Arrivals>>,
+    life: Arc<Life>,
     clock: WorldClock,
     model: Bytes,
+}
+
+/// A connection's place among the [`Arrivals`]; free again when it is dropped.
+struct Place {
+    arrivals: Arc<Mutex<Arrivals>>,
+    address: IpAddr,
+    is_in: bool,
+    clock: WorldClock,
+}
+
+impl Place {
+    fn lock(&self) -> MutexGuard<'_, Arrivals> {
+        self.arrivals.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Its client was let in.
+    fn let_in(&mut self) {
+        if !std::mem::replace(&mut self.is_in, true) {
+            self.lock().let_in(self.address);
+        }
+    }
+
+    /// Its client went on and on beyond its limits.
+    fn penalise(&mut self) {
+        self.lock().penalise(self.address, self.clock.now());
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.lock().leave(self.address, self.is_in);
+    }
 }
 
 impl Handle {
     fn lock(&self) -> MutexGuard<'_, Core> {
         // A panic elsewhere has been reported; the world's own state is consistent between calls.
         self.core.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn arrivals(&self) -> MutexGuard<'_, Arrivals> {
+        self.arrivals.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn greeting(&self) -> Duration {
+        self.arrivals().limits().greeting
+    }
+
+    /// A first packet of somebody: decides what becomes of it.
+    fn arrive(&self, incoming: quinn::Incoming) {
+        let address = incoming.remote_address().ip();
+        let verdict = self.arrivals().arrive(address, incoming.remote_address_validated(), self.clock.now());
+        match verdict {
+            Verdict::Begin(turn) => {
+                let place = Place { arrivals: self.arrivals.clone(), address, is_in: false, clock: self.clock };
+                tokio::spawn(connection::serve(self.clone(), incoming, turn, place));
+            }
+            // One that may not retry has done so already.
+            Verdict::Retry => drop(incoming.retry()),
+            Verdict::Decline(why) => {
+                tracing::debug!(%address, why = why.name(), "declined");
+                incoming.refuse();
+            }
+        }
+    }
+
+    /// How far the server has got.
+    pub fn stage(&self) -> Stage {
+        self.life.stage()
+    }
+
+    /// What became of first packets.
+    pub fn arrival_counts(&self) -> ArrivalCounts {
+        self.arrivals().counts
+    }
+
+    /// Addresses that have limits of their own now.
+    pub fn remembered_addresses(&self) -> usize {
+        self.arrivals().remembered()
+    }
+
+    /// Connections that have not been let in, and all; handshakes included.
+    pub fn open_connections(&self) -> (usize, usize) {
+        self.arrivals().open()
     }
 
     /// Looks at the world, or changes it. Keep it short: nothing else happens meanwhile.
@@ -187,38 +274,11 @@ impl Handle {
     }
 }
 
-impl Core {
-    fn flush(&mut self, now: WorldTime) {
-        let tick = self.world.tick_period();
-        loop {
-            let peers = &mut self.peers;
-            let room = |id| peers.get_mut(&id).map_or(usize::MAX, |peer| peer.room(now, tick));
-            let Some((id, transmit)) = self.world.poll_transmit_where(now, room) else { break };
-            let Some(peer) = self.peers.get_mut(&id) else { continue };
-            let outgoing = match transmit {
-                Transmit::Datagram(bytes) => {
-                    peer.queued_at.get_or_insert(now);
-                    if peer.connection.send_datagram(Bytes::from(bytes)).is_err() {
-                        self.stats.datagrams_dropped += 1;
-                    }
-                    continue;
-                }
-                Transmit::Control(bytes) => Outgoing::Control(bytes),
-                Transmit::WorldBytes => Outgoing::WorldBytes,
-                Transmit::Close(reason) => Outgoing::Close(reason),
-            };
-            if peer.control.try_send(outgoing).is_err() {
-                self.stats.slow_readers += 1;
-                peer.connection.close(1u32.into(), b"does not read its control stream");
-            }
-        }
-    }
-}
-
 /// A server that listens, and runs when told to.
 pub struct Server {
     endpoint: quinn::Endpoint,
     handle: Handle,
+    drain: Duration,
 }
 
 impl Server {
@@ -239,8 +299,19 @@ impl Server {
         let runtime = Arc::new(quinn::TokioRuntime);
         let endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), Some(config), socket, runtime)
             .map_err(|source| ServeError::Bind { address, source })?;
+        let arrivals = Arrivals::new(ArrivalLimits::default(), clock.now());
+        let life = Arc::new(Life::new(world.tick_period(), clock.now()));
         let core = Core { world, peers: BTreeMap::new(), hook, stats: ShellStats::default() };
-        Ok(Server { endpoint, handle: Handle { core: Arc::new(Mutex::new(core)), clock, model } })
+        let (core, arrivals) = (Arc::new(Mutex::new(core)), Arc::new(Mutex::new(arrivals)));
+        let drain = ShellConfig::default().drain;
+        Ok(Server { endpoint, handle: Handle { core, arrivals, life, clock, model }, drain })
+    }
+
+    /// The same with other settings of the shell.
+    pub fn with_config(mut self, config: ShellConfig) -> Server {
+        *self.handle.arrivals() = Arrivals::new(config.arrivals, self.handle.clock.now());
+        self.drain = config.drain;
+        self
     }
 
     /// Where it listens.
@@ -256,9 +327,11 @@ impl Server {
         self.handle.clone()
     }
 
-    /// Serves until `shutdown` is ready, then tells the clients and waits for them to hear it, at most two seconds.
+    /// Serves until `shutdown` is ready; then tells the clients, turns away who comes, and ends when everybody has heard it, or
+    /// after [`ShellConfig::drain`].
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
-        let Server { endpoint, handle } = self;
+        let Server { endpoint, handle, drain } = self;
+        handle.life.enter(Stage::Serving);
         tokio::pin!(shutdown);
         let ticker = tick(handle.clone());
         tokio::pin!(ticker);
@@ -267,18 +340,30 @@ impl Server {
                 () = &mut shutdown => break,
                 () = &mut ticker => {}
                 incoming = endpoint.accept() => match incoming {
-                    Some(incoming) => { tokio::spawn(serve(handle.clone(), incoming)); }
+                    Some(incoming) => handle.arrive(incoming),
                     None => break,
                 },
             }
         }
-        endpoint.set_server_config(None);
-        handle.drive(|world, _| world.shut_down("the server ends"));
-        // The tasks flush and close their connections; a peer that does not answer is not waited for.
-        let idle = tokio::time::timeout(Duration::from_secs(2), endpoint.wait_idle()).await;
-        if idle.is_err() {
-            endpoint.close(0u32.into(), b"the server ends");
+        handle.life.enter(Stage::Draining);
+        let deadline = tokio::time::Instant::now() + drain;
+        // The last word to who does not answer needs some of the time too.
+        let polite = deadline - (drain / 10).min(Duration::from_millis(200));
+        tracing::info!(clients = handle.lock().peers.len(), "draining");
+        handle.drive(|world, _| world.shut_down(ENDS));
+        loop {
+            tokio::select! {
+                () = tokio::time::sleep_until(polite) => break,
+                () = endpoint.wait_idle() => break,
+                incoming = endpoint.accept() => match incoming {
+                    Some(incoming) => handle.arrive(incoming),
+                    None => break,
+                },
+            }
         }
+        endpoint.close(0u32.into(), ENDS.as_bytes());
+        let _ = tokio::time::timeout_at(deadline, endpoint.wait_idle()).await;
+        handle.life.enter(Stage::Ended);
     }
 }
 
@@ -286,10 +371,13 @@ async fn tick(handle: Handle) {
     loop {
         let due = handle.lock().world.poll_timeout();
         tokio::time::sleep_until(handle.clock.instant(due).into()).await;
-        let started = Instant::now();
+        let (started, late) = (Instant::now(), handle.clock.now().since(due));
         handle.drive(|world, now| world.tick(now));
+        handle.life.ticked(handle.clock.now());
         let mut guard = handle.lock();
         let core = &mut *guard;
+        core.stats.tick_work.observe(started.elapsed().as_secs_f64());
+        core.stats.tick_lateness.observe(late.as_secs_f64());
         if core.stats.tick_micros.len() < TICKS_KEPT {
             core.stats.tick_micros.push(started.elapsed().as_micros() as u32);
         }
@@ -297,194 +385,6 @@ async fn tick(handle: Handle) {
             hook(&core.world);
         }
     }
-}
-
-async fn serve(handle: Handle, incoming: quinn::Incoming) {
-    let connection = match incoming.await {
-        Ok(connection) => connection,
-        Err(error) => return tracing::debug!(%error, "handshake failed"),
-    };
-    let (control, outgoing) = mpsc::channel(CONTROL_QUEUE);
-    let mut id = SessionId(0);
-    let caller = Caller { address: Some(connection.remote_address().ip()), resume: resume_token() };
-    handle.drive(|world, now| id = world.connect_from(now, caller));
-    let empty_space = connection.datagram_send_buffer_space();
-    let peer = Peer { connection: connection.clone(), control, queued_at: None, empty_space };
-    handle.lock().peers.insert(id, peer);
-    if let Some(limit) = connection.max_datagram_size() {
-        handle.with_world(|world| world.handle_datagram_limit(id, limit));
-    }
-    tracing::debug!(session = id.0, address = %connection.remote_address(), "connected");
-    let reason = tokio::select! {
-        reason = receive_datagrams(&handle, id, &connection) => reason,
-        reason = converse(&handle, id, &connection, outgoing) => reason,
-        reason = wait_for_hello(&handle, id) => reason,
-    };
-    tracing::debug!(session = id.0, %reason, "disconnected");
-    connection.close(0u32.into(), reason.as_bytes());
-    handle.drive(|world, _| world.disconnect(id));
-    handle.lock().peers.remove(&id);
-}
-
-/// What a client may come back with. All zero, so that it can't, if the system has no chance to give.
-fn resume_token() -> [u8; 16] {
-    use ring::rand::SecureRandom;
-    let mut token = [0; 16];
-    match ring::rand::SystemRandom::new().fill(&mut token) {
-        Ok(()) => token,
-        Err(_) => [0; 16],
-    }
-}
-
-async fn receive_datagrams(handle: &Handle, id: SessionId, connection: &quinn::Connection) -> String {
-    loop {
-        match connection.read_datagram().await {
-            Ok(datagram) => handle.drive(|world, now| world.handle_datagram(id, &datagram, now)),
-            Err(error) => return error.to_string(),
-        }
-    }
-}
-
-/// For how long a connection may stay without being let in.
-const GREETING_TIMEOUT: Duration = Duration::from_secs(5);
-
-/// Ready when a client has not said hello in time; never for one that has.
-async fn wait_for_hello(handle: &Handle, id: SessionId) -> String {
-    tokio::time::sleep(GREETING_TIMEOUT).await;
-    if handle.with_world(|world| world.is_admitted(id)) {
-        std::future::pending::<()>().await;
-    }
-    "no hello".into()
-}
-
-async fn converse(
-    handle: &Handle,
-    id: SessionId,
-    connection: &quinn::Connection,
-    mut outgoing: mpsc::Receiver<Outgoing>,
-) -> String {
-    let (mut send, mut receive) = match connection.accept_bi().await {
-        Ok(stream) => stream,
-        Err(error) => return error.to_string(),
-    };
-    let reading = async {
-        let mut reader = ControlReader::of_client();
-        loop {
-            match receive.read_chunk(16 * 1024, true).await {
-                Ok(Some(chunk)) => reader.push(&chunk.bytes),
-                // The client has said all it will; it may still listen.
-                Ok(None) => return std::future::pending::<String>().await,
-                Err(error) => return error.to_string(),
-            }
-            loop {
-                match reader.next_message() {
-                    Ok(Some(message)) => handle.drive(|world, now| world.handle_control(id, &message, now)),
-                    Ok(None) => break,
-                    Err(error) => {
-                        // Counted and told; writing closes the connection once the client has it.
-                        handle.drive(|world, _| world.handle_broken_control(id, &error));
-                        return std::future::pending::<String>().await;
-                    }
-                }
-            }
-        }
-    };
-    let writing = async {
-        let mut sending: Option<tokio::task::JoinHandle<()>> = None;
-        while let Some(message) = outgoing.recv().await {
-            match message {
-                Outgoing::Control(bytes) => {
-                    if let Err(error) = send.write_all(&bytes).await {
-                        return error.to_string();
-                    }
-                }
-                Outgoing::WorldBytes => {
-                    // One at a time: who asks again while it is under way gets no second copy.
-                    if sending.as_ref().is_none_or(|sending| sending.is_finished()) {
-                        let (connection, model) = (connection.clone(), handle.model.clone());
-                        sending = Some(tokio::spawn(async move { send_world(&connection, model).await }));
-                    }
-                }
-                Outgoing::Close(reason) => {
-                    // Wait until the peer has it all, or has gone.
-                    let _ = send.finish();
-                    let _ = tokio::time::timeout(Duration::from_secs(1), send.stopped()).await;
-                    return reason;
-                }
-            }
-        }
-        "closed".into()
-    };
-    tokio::select! {
-        reason = reading => reason,
-        reason = writing => reason,
-    }
-}
-
-async fn send_world(connection: &quinn::Connection, model: Bytes) {
-    let sent = async {
-        let mut stream = connection.open_uni().await?;
-        stream.set_priority(-1)?;
-        stream.write_all(&model).await?;
-        stream.finish()?;
-        anyhow::Ok(())
-    };
-    if let Err(error) = sent.await {
-        tracing::debug!(%error, "the world was not sent");
-    }
-}
-
-/// How this server speaks QUIC and TLS, wherever its packets go.
-///
-/// # Errors
-/// If the identity is of no use.
-pub fn quic_config(identity: Identity) -> Result<quinn::ServerConfig, ServeError> {
-    let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let mut tls = rustls::ServerConfig::builder_with_provider(provider)
-        .with_protocol_versions(&[&rustls::version::TLS13])?
-        .with_no_client_auth()
-        .with_cert_resolver(identity.shown());
-    tls.alpn_protocols = vec![ALPN.to_vec()];
-    let mut config = quinn::ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(tls)?));
-    config.transport_config(Arc::new(transport()));
-    Ok(config)
-}
-
-/// Few streams and small windows: a connection's memory is what limits a server of thousands (FACTS: stream limits of
-/// 8 instead of 100 save a fifth, MTU discovery off halves the handshake). The datagram buffer holds two ticks of a busy
-/// client, so that it can't hide seconds of stale poses.
-fn transport() -> quinn::TransportConfig {
-    let mut transport = quinn::TransportConfig::default();
-    transport
-        .max_concurrent_bidi_streams(1u32.into())
-        .max_concurrent_uni_streams(0u32.into())
-        .max_idle_timeout(Some(quinn::IdleTimeout::from(quinn::VarInt::from_u32(10_000))))
-        .keep_alive_interval(Some(Duration::from_secs(4)))
-        .datagram_receive_buffer_size(Some(64 * 1024))
-        .datagram_send_buffer_size(DATAGRAM_BUFFER)
-        .stream_receive_window(quinn::VarInt::from_u32(128 * 1024))
-        .receive_window(quinn::VarInt::from_u32(256 * 1024))
-        .send_window(1 << 20)
-        .mtu_discovery_config(None);
-    transport
-}
-
-/// A socket with buffers for a tick's burst: the system's default drops them (FACTS). Does not block.
-///
-/// # Errors
-/// If the address can't be had.
-pub fn socket(address: SocketAddr) -> std::io::Result<std::net::UdpSocket> {
-    let socket = socket2::Socket::new(
-        socket2::Domain::for_address(address),
-        socket2::Type::DGRAM,
-        Some(socket2::Protocol::UDP),
-    )?;
-    // As much as the system gives; less is no error.
-    let _ = socket.set_recv_buffer_size(4 << 20);
-    let _ = socket.set_send_buffer_size(4 << 20);
-    socket.set_nonblocking(true)?;
-    socket.bind(&address.into())?;
-    Ok(socket.into())
 }
 
 #[cfg(test)]

@@ -115,6 +115,7 @@ impl World {
     fn remove(&mut self, id: SessionId) {
         let Some(session) = self.sessions.remove(&id) else { return };
         let Phase::Live { slot, .. } = session.phase else { return };
+        self.validity.forget(id);
         self.free_slots.push(slot);
         for object in &mut self.objects {
             object.forget_holder(slot);

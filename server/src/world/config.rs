@@ -5,6 +5,7 @@ use std::time::Duration;
 use eyeline_protocol::{CLASSES_MAX, NAME_BYTES_MAX, OutOfRange};
 use glam::DVec3;
 
+use super::Limits;
 use crate::path::PathError;
 
 /// Settings of a [`super::World`].
@@ -38,6 +39,8 @@ pub struct WorldConfig {
     /// Most bytes a second to one client in datagrams, QUIC and UDP apart; default `None`. Where it binds, the states that
     /// are largest × oldest go first; violations, bounds and withdrawals are never held back.
     pub bytes_per_second: Option<u32>,
+    /// How much one client may ask for; the default is what no honest client meets.
+    pub limits: Limits,
     /// For how long the avatars of a lost connection wait for their client to come back; default 30 s. More keeps who has
     /// gone standing about.
     pub resume_grace: Duration,
@@ -60,6 +63,7 @@ impl Default for WorldConfig {
             audit_radius_max: 2.0,
             dead_reckoning_px: None,
             bytes_per_second: None,
+            limits: Limits::default(),
             resume_grace: Duration::from_secs(30),
             avatars_max: 4096,
             default_spawn: DVec3::ZERO,
@@ -106,6 +110,11 @@ impl WorldConfig {
     /// Sets the most bytes a second to one client.
     pub fn with_bytes_per_second(self, bytes_per_second: Option<u32>) -> WorldConfig {
         WorldConfig { bytes_per_second, ..self }
+    }
+
+    /// Sets how much one client may ask for.
+    pub fn with_limits(self, limits: Limits) -> WorldConfig {
+        WorldConfig { limits, ..self }
     }
 
     /// Sets for how long the avatars of a lost connection wait.

@@ -10,12 +10,15 @@
 
 mod admission;
 mod blur;
+mod census;
 mod config;
 mod lens;
+mod limits;
 mod object;
 mod people;
 mod session;
 mod stats;
+mod validity;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -28,13 +31,16 @@ use eyeline_protocol::{
 use glam::DVec3;
 
 use admission::{Announcements, Hello};
+pub use census::Census;
 pub use config::{WorldConfig, WorldError};
+pub use limits::{LimitCounts, Limited, Limits, Rate};
 pub use object::Object;
 pub(crate) use object::present;
 use people::Events;
 pub use people::WorldEvent;
 use session::{Moment, OwnEye, Phase, Session};
 pub use stats::{MessageCounts, WorldStats};
+pub use validity::Validity;
 
 use crate::audit::Audit;
 use crate::gate::{Gate, OpenGate};
@@ -93,6 +99,7 @@ pub struct World {
     tick: WorldTime,
     next_tick: WorldTime,
     stats: WorldStats,
+    validity: Validity,
     /// Scratch of [`World::tick`].
     told: Vec<ObjectId>,
 }
@@ -167,6 +174,7 @@ impl World {
             tick: now,
             next_tick: now,
             stats: WorldStats::default(),
+            validity: Validity::default(),
             told: Vec::new(),
         };
         world.tick(now);
@@ -199,12 +207,23 @@ impl World {
 
     /// One control message, without its length prefix. What makes no sense closes the connection.
     pub fn handle_control(&mut self, id: SessionId, bytes: &[u8], now: WorldTime) {
-        let Some(session) = self.sessions.get(&id) else { return };
+        let Some(session) = self.sessions.get_mut(&id) else { return };
         if session.is_refused {
             return;
         }
         let live = matches!(session.phase, Phase::Live { .. });
-        match codec::decode_client_control(bytes) {
+        let (limits, size) = (&self.config.limits, session.size(self.objects.len()));
+        let wanted = [(Limited::Control, 1), (Limited::Bytes, bytes.len())];
+        if !session.meter.admit(&wanted, limits, size, now, &mut self.stats.limited) {
+            return self.send_away_if_spent(id);
+        }
+        let message = codec::decode_client_control(bytes);
+        if let Some(kind) = message.as_ref().ok().and_then(Limited::of_control)
+            && !session.meter.admit(&[(kind, 1)], limits, size, now, &mut self.stats.limited)
+        {
+            return self.send_away_if_spent(id);
+        }
+        match message {
             Err(error) => {
                 self.stats.rejected_control += 1;
                 self.refuse(id, Refusal::Protocol, &format!("control message: {error}"));
@@ -244,6 +263,11 @@ impl World {
         self.sessions.get(&id).is_some_and(|session| matches!(session.phase, Phase::Live { .. }))
     }
 
+    /// Whether this client is sent away because it went on and on beyond its limits.
+    pub fn is_spent(&self, id: SessionId) -> bool {
+        self.sessions.get(&id).is_some_and(|session| session.meter.is_spent)
+    }
+
     /// Tells everybody that the server ends, and why.
     pub fn shut_down(&mut self, reason: &str) {
         let ids: Vec<SessionId> = self.sessions.keys().copied().collect();
@@ -255,7 +279,12 @@ impl World {
     /// One datagram of a client. Requests in it are answered at once.
     pub fn handle_datagram(&mut self, id: SessionId, bytes: &[u8], now: WorldTime) {
         self.stats.datagrams_in += 1;
-        let Some(session) = self.sessions.get_mut(&id) else { return };
+        let Some(session) = self.sessions.get_mut(&id).filter(|session| !session.is_refused) else { return };
+        let (limits, size) = (&self.config.limits, session.size(self.objects.len()));
+        let wanted = [(Limited::Datagrams, 1), (Limited::Bytes, bytes.len())];
+        if !session.meter.admit(&wanted, limits, size, now, &mut self.stats.limited) {
+            return self.send_away_if_spent(id);
+        }
         let Phase::Live { slot, watches } = session.phase else {
             self.stats.rejected_datagrams += 1;
             return;
@@ -267,15 +296,25 @@ impl World {
                 return;
             }
         };
+        let due = session.states_due();
         if !session.receive(&header.link, LocalTime::from_micros(now.micros())) {
             self.stats.stale_datagrams += 1;
             return;
         }
+        // Who says that everything got lost, again and again, is told again no sooner than at the next tick.
+        let lost = session.states_due().saturating_sub(due);
+        session.waits_for_tick |=
+            lost > 0 && !session.meter.take((Limited::Resends, lost), limits, size, now, &mut self.stats.limited);
+        let mut over = false;
         session.heard_at = now;
         session.owes_ack = true;
         let seq = header.link.seq;
         let mut answer = false;
         for record in records {
+            if !session.meter.take((Limited::of_record(&record), 1), limits, size, now, &mut self.stats.limited) {
+                over = true;
+                continue;
+            }
             self.stats.messages_in.count_client(&record);
             match record {
                 ClientRecord::Pose { object, position, orientation } => {
@@ -301,6 +340,7 @@ impl World {
                     if session.is_overtaken(object, seq) => {}
                 ClientRecord::Request { object, want, .. } => {
                     answer = true;
+                    self.validity.note(id, &record, speed_of(&self.objects, &self.classes, object), now);
                     match want {
                         Want::State => session.subscribe(object, seq),
                         Want::Place => session.tell_once(object, seq),
@@ -311,6 +351,7 @@ impl World {
                     }
                 }
                 ClientRecord::Release { object, want_bound } => {
+                    self.validity.note(id, &record, speed_of(&self.objects, &self.classes, object), now);
                     session.unsubscribe(object, seq);
                     if want_bound {
                         answer = true;
@@ -335,8 +376,21 @@ impl World {
                 }
             }
         }
-        if answer {
+        if over {
+            session.meter.bear(limits, now);
+        }
+        if answer && !session.waits_for_tick {
             self.awake.push_back(id);
+        }
+        self.send_away_if_spent(id);
+    }
+
+    /// A client that goes on and on beyond its limits is of no more use to anybody.
+    fn send_away_if_spent(&mut self, id: SessionId) {
+        if self.sessions.get(&id).is_some_and(|session| session.meter.is_spent && !session.is_refused) {
+            self.stats.busy += 1;
+            let reason = "far more was asked for than the server's limits allow; come back later, and ask for less";
+            self.refuse(id, Refusal::Busy, reason);
         }
     }
 
@@ -536,6 +590,11 @@ impl World {
         &self.stats
     }
 
+    /// For how long clients make do with a bound.
+    pub fn validity(&self) -> &Validity {
+        &self.validity
+    }
+
     /// World time between ticks.
     pub fn tick_period(&self) -> Duration {
         self.config.tick
@@ -560,6 +619,11 @@ fn eye_region(config: &WorldConfig, motion: MotionBound, round_trip: Option<Dura
     // Of a client that has not been measured yet the most is believed.
     let Some(round_trip) = round_trip else { return config.audit_radius_max };
     motion.reach((2 * round_trip + 3 * config.tick).as_secs_f64()).min(config.audit_radius_max)
+}
+
+/// The greatest speed of an object's class, m/s.
+fn speed_of(objects: &[Object], classes: &[Class], object: ObjectId) -> f64 {
+    objects.get(object.index()).map_or(0.0, |object| classes[usize::from(object.class.0)].motion.speed_max)
 }
 
 /// How many bytes may be handed to a transport now so that they leave within a tick: what its congestion window lets go in that
@@ -648,6 +712,9 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
 
 #[cfg(test)]
 mod audit_tests;
+
+#[cfg(test)]
+mod limits_tests;
 
 #[cfg(test)]
 mod people_tests;

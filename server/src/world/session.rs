@@ -16,6 +16,7 @@ use glam::DVec3;
 use super::admission::RosterMark;
 use super::blur::Known;
 use super::lens::Lens;
+use super::limits::{Meter, Size};
 use super::{AVATAR_CLASS, Object, SessionId, WorldStats};
 use crate::gate::{Caller, Permit};
 use crate::policy::Watcher;
@@ -146,11 +147,17 @@ pub(super) struct Session {
     pub heard_at: WorldTime,
     pub owes_ack: bool,
     pub datagram_limit: usize,
+    /// What it asked for of late.
+    pub meter: Meter,
+    /// Whether its requests are answered with the next tick only, since too much is said to have got lost.
+    pub waits_for_tick: bool,
     pub bounds_due: BTreeSet<ObjectId>,
     pub violations: BTreeMap<ObjectId, Violation>,
     link: Link<Carried>,
     /// For how long the client lets an acknowledgement wait, lately at most: it acknowledges with its next frame.
     hold_max: Duration,
+    /// What datagrams carried that were given up for lost because too many were under way; due again at the next tick.
+    given_up: Carried,
     subscriptions: BTreeMap<ObjectId, Subscription>,
     /// Bytes that may still go out; `None` without a cap.
     budget: Option<f64>,
@@ -189,10 +196,13 @@ impl Session {
             heard_at: now,
             owes_ack: false,
             datagram_limit: DATAGRAM_LIMIT_DEFAULT,
+            meter: Meter::default(),
+            waits_for_tick: false,
             bounds_due: BTreeSet::new(),
             violations: BTreeMap::new(),
             link: Link::default(),
             hold_max: Duration::ZERO,
+            given_up: Vec::new(),
             subscriptions: BTreeMap::new(),
             budget: None,
             held_back: BTreeSet::new(),
@@ -265,6 +275,21 @@ impl Session {
         arrival == Arrival::New
     }
 
+    /// What its limits grow with, in a world of so many objects.
+    pub fn size(&self, objects: usize) -> Size {
+        Size { avatars: self.avatars.len(), objects }
+    }
+
+    /// Number of objects whose states it is told of.
+    pub fn visible(&self) -> usize {
+        self.subscriptions.values().filter(|subscription| subscription.active).count()
+    }
+
+    /// Number of states that are due.
+    pub fn states_due(&self) -> usize {
+        self.states_due.len()
+    }
+
     /// What a lost datagram carried is due again, unless something newer has been sent since.
     fn send_again(&mut self, carried: Carried) {
         for (object, version) in carried {
@@ -289,6 +314,8 @@ impl Session {
         let mut lost = Vec::new();
         // The round trip leaves out what the client held its acknowledgement for; without it all that it holds would be lost.
         self.link.expire(now - self.hold_max, |carried| lost.push(carried));
+        lost.push(std::mem::take(&mut self.given_up));
+        self.waits_for_tick = false;
         for carried in lost {
             self.send_again(carried);
         }
@@ -587,7 +614,8 @@ impl Session {
         let (link, lost) = self.link.send(carried, local);
         if let Some(lost) = lost {
             stats.datagrams_lost += 1;
-            self.send_again(lost);
+            // Not at once: who acknowledges nothing would have us build without end.
+            self.given_up.extend(lost);
         }
         let mut writer = DatagramWriter::new(&ServerHeader { link, sent: now, tick }, limit);
         for record in &records {

@@ -2,6 +2,8 @@
 
 use eyeline_protocol::{ClientRecord, Reason, ServerRecord, Want};
 
+use super::LimitCounts;
+
 /// Messages by kind. A message is one record about one object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MessageCounts {
@@ -173,4 +175,8 @@ pub struct WorldStats {
     pub datagrams_lost: u64,
     /// Times that nothing was built for a client, since older datagrams had not left yet.
     pub held_back: u64,
+    /// What clients asked for beyond their limits, and was dropped.
+    pub limited: LimitCounts,
+    /// Clients sent away because they went on and on beyond their limits.
+    pub busy: u64,
 }

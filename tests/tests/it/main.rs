@@ -2,6 +2,7 @@
 
 mod corpus;
 mod events;
+mod floods;
 mod gate;
 mod hostile;
 mod mutants;

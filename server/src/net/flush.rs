@@ -1,0 +1,106 @@
+//! What the world has to say, handed to QUIC: datagrams as long as they leave, control messages to each connection's task.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use bytes::Bytes;
+use eyeline_protocol::WorldTime;
+use tokio::sync::mpsc;
+
+use super::{CommitHook, ShellStats};
+use crate::world::{PathState, SessionId, Transmit, World, room};
+
+/// Room in QUIC for one client's datagrams of a tick, bytes.
+pub(super) const DATAGRAM_BUFFER: usize = 64 * 1024;
+
+/// Most control messages that wait for one client. A joining client of a full world is told of 16 M objects in 65,536.
+pub(super) const CONTROL_QUEUE: usize = 4096;
+
+/// Most bytes of control messages that wait for one client, and more for each object: who joins is told of all of them at
+/// once, in entries of at most 566 bytes. Who does not read does not make us keep more.
+const CONTROL_BYTES: usize = 1 << 20;
+const CONTROL_BYTES_PER_OBJECT: usize = 600;
+
+/// A connection as it is sent to.
+pub(super) struct Peer {
+    pub connection: quinn::Connection,
+    control: mpsc::Sender<Outgoing>,
+    /// Bytes of control messages that wait to be taken by QUIC.
+    pub waiting: Arc<AtomicUsize>,
+    /// When the oldest datagram was handed to QUIC that may still wait there.
+    queued_at: Option<WorldTime>,
+    /// The room in QUIC's buffer when nothing waits: quinn keeps some of it for itself.
+    empty_space: usize,
+    /// Whether it was closed since it does not read; its task will notice.
+    is_closed: bool,
+}
+
+impl Peer {
+    pub fn new(connection: quinn::Connection, control: mpsc::Sender<Outgoing>) -> Peer {
+        let empty_space = connection.datagram_send_buffer_space();
+        Peer { connection, control, waiting: Arc::default(), queued_at: None, empty_space, is_closed: false }
+    }
+
+    /// How many bytes of datagrams QUIC will have sent a tick from now if it gets them now.
+    fn room(&mut self, now: WorldTime, tick: Duration) -> usize {
+        let queued_bytes = self.empty_space.saturating_sub(self.connection.datagram_send_buffer_space());
+        if queued_bytes == 0 {
+            self.queued_at = None;
+        }
+        let path = self.connection.stats().path;
+        let waited = self.queued_at.map(|at| now.since(at));
+        room(PathState { waited, queued_bytes, window_bytes: path.cwnd, round_trip: path.rtt }, tick)
+    }
+}
+
+/// What a connection's task is to write.
+pub(super) enum Outgoing {
+    Control(Arc<[u8]>),
+    WorldBytes,
+    Close(String),
+}
+
+/// The world and those who are connected to it, under one lock.
+pub(super) struct Core {
+    pub world: World,
+    pub peers: BTreeMap<SessionId, Peer>,
+    pub hook: Option<CommitHook>,
+    pub stats: ShellStats,
+}
+
+impl Core {
+    /// Sends everything that the world has to say and that leaves at once.
+    pub fn flush(&mut self, now: WorldTime) {
+        let tick = self.world.tick_period();
+        loop {
+            let peers = &mut self.peers;
+            let room = |id| peers.get_mut(&id).map_or(usize::MAX, |peer| peer.room(now, tick));
+            let Some((id, transmit)) = self.world.poll_transmit_where(now, room) else { break };
+            let Some(peer) = self.peers.get_mut(&id).filter(|peer| !peer.is_closed) else { continue };
+            let outgoing = match transmit {
+                Transmit::Datagram(bytes) => {
+                    peer.queued_at.get_or_insert(now);
+                    if peer.connection.send_datagram(Bytes::from(bytes)).is_err() {
+                        self.stats.datagrams_dropped += 1;
+                    }
+                    continue;
+                }
+                Transmit::Control(bytes) => Outgoing::Control(bytes),
+                Transmit::WorldBytes => Outgoing::WorldBytes,
+                Transmit::Close(reason) => Outgoing::Close(reason),
+            };
+            let waiting = match &outgoing {
+                Outgoing::Control(bytes) => peer.waiting.fetch_add(bytes.len(), Ordering::Relaxed),
+                _ => 0,
+            };
+            let most = CONTROL_BYTES + CONTROL_BYTES_PER_OBJECT * self.world.objects().len();
+            if waiting > most || peer.control.try_send(outgoing).is_err() {
+                self.stats.slow_readers += 1;
+                peer.is_closed = true;
+                peer.connection.close(1u32.into(), b"does not read its control stream");
+            }
+        }
+    }
+}
