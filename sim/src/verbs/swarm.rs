@@ -3,18 +3,20 @@
 // This is a driver: it may read the clock.
 #![expect(clippy::disallowed_methods)]
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Args;
 use eyeline_client::app::{Target, WorldOptions, number};
-use eyeline_client::net::{Connection, Endpoint, FrameReport, LocalClock, Summary, run_headless};
+use eyeline_client::net::{Connection, Driver, Endpoint, FrameReport, LocalClock, run_headless};
 use eyeline_client::session::{Session, SessionConfig, SessionStats};
 use eyeline_client::tracking::{Sabotage, TrackerConfig};
 use eyeline_protocol::Welcome;
 use eyeline_server::app::shutdown_signal;
 use eyeline_server::spec::AvatarSpec;
+use eyeline_sim::load::ways::{Replayer, WayRules, Ways};
 use eyeline_sim::motion::WalkerPose;
 use eyeline_sim::people::{Ground, Person};
 use eyeline_sim::report::{Column, Progress, Row, table};
@@ -34,12 +36,21 @@ pub struct Swarm {
     #[command(flatten)]
     world: WorldOptions,
 
+    /// How many of them cull for themselves; the others replay ways and exposures that are recorded before they come in,
+    /// through trackers of their own. Needs rooms to walk in [default: all]
+    #[arg(long, value_name = "N")]
+    culling: Option<u32>,
+
     /// How many people, each with a client of their own. With --world FILE and NAME.rooms.json beside it they walk from
     /// room to room; else they stand and look around
-    #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=16_384))]
     clients: u32,
 
-    /// How long to stay once all are in, seconds
+    /// How long to wait once all are in, seconds: who joins makes work for everybody, and that is not what is measured
+    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, value_parser = number(0.0..=1e6, "s"))]
+    settle: f64,
+
+    /// How long to stay and measure then, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 20.0, value_parser = number(0.1..=1e6, "s"))]
     seconds: f64,
 
@@ -55,6 +66,10 @@ pub struct Swarm {
     #[arg(long, value_name = "HZ", default_value_t = 20.0, value_parser = number(0.1..=240.0, "Hz"))]
     frame_hz: f64,
 
+    /// Exit with 0 even if frames began too late for the numbers to mean anything
+    #[arg(long)]
+    late_ok: bool,
+
     /// Break the tracker on purpose: drop-exposures, late-one-tick or freeze-clock
     #[arg(long, value_name = "HOW")]
     sabotage: Option<Sabotage>,
@@ -63,23 +78,46 @@ pub struct Swarm {
 pub const EXAMPLES: &str = "Examples:
   eyeline-sim swarm --server-file out/ready.txt --world out/rooms.glb
   eyeline-sim swarm --connect 127.0.0.1:4433 --fingerprint 11c4…d6b9 --clients 100 --seconds 60
-  eyeline-sim swarm --server-file out/ready.txt --clients 4 --side 256 --sabotage drop-exposures";
+  eyeline-sim swarm --server-file out/ready.txt --world out/rooms.glb --clients 1000 --culling 32 --seconds 60
+  eyeline-sim swarm --server-file out/ready.txt --clients 4 --side 256 --sabotage drop-exposures
+
+Exits with 1 if frames began too late for the numbers to mean anything.";
 
 /// A run whose frames came later than this in one of a hundred cases measured the machine, not the clients.
 const LATE_MAX: Duration = Duration::from_millis(5);
 
-/// What the clients' frames add up to.
+/// What the clients' frames add up to, from the moment when all are in and have settled.
 #[derive(Default)]
 struct Frames {
+    is_measured: bool,
     late: Vec<Duration>,
     cull: Duration,
     track: Duration,
+    /// Of each client, by its number: what it had counted, and the frames that it had left out, at its first measured frame
+    /// and at its newest.
+    counted: BTreeMap<usize, [(SessionStats, u64); 2]>,
+}
+
+impl Frames {
+    fn note(&mut self, number: usize, session: &Session, report: &FrameReport) {
+        if !self.is_measured {
+            return;
+        }
+        self.late.push(report.late);
+        self.cull += report.cull;
+        self.track += report.track;
+        let now = (*session.stats(), report.skipped);
+        self.counted.entry(number).or_insert([now, now])[1] = now;
+    }
+
+    /// The sum of what a counter gained.
+    fn gained(&self, counter: impl Fn(&(SessionStats, u64)) -> u64) -> u64 {
+        self.counted.values().map(|[first, last]| counter(last) - counter(first)).sum()
+    }
 }
 
 /// What became of one client.
 struct Outcome {
-    summary: Summary,
-    stats: SessionStats,
     round_trip: Option<Duration>,
     /// Visible, hidden and asked for at the end.
     counts: (usize, usize, usize),
@@ -156,50 +194,60 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
         "{} at {address}: policy {}, {} objects; {} people {how}\n",
         welcome.world.name, welcome.policy, welcome.objects, options.clients
     ));
-    let mut connections = vec![first];
-    for number in 1..options.clients {
-        tokio::select! {
-            connection = endpoint.connect(address, session(number, bounds), clock) => {
-                connections.push(connection.with_context(|| format!("client {number}"))?);
-            }
-            () = &mut shutdown => anyhow::bail!("ended before all clients were in"),
-        }
-    }
-
+    let culling = options.culling.map_or(options.clients, |culling| culling.min(options.clients)) as usize;
+    let replaying = options.clients as usize - culling;
+    let ways = match replaying {
+        0 => None,
+        _ => Some(Arc::new(record(&ground, bounds, options, period).await?)),
+    };
     let frames = Arc::new(Mutex::new(Frames::default()));
     let (stop, stopped) = watch::channel(false);
     let mut clients = JoinSet::new();
     let begin = clock.now() + Duration::from_millis(50);
-    let began = Instant::now();
-    for (number, connection) in connections.into_iter().enumerate() {
+    // Each plays from the moment when it is in: who waited for the last would not read what it is told of those who join.
+    let mut play = |number: usize, mut connection: Connection| {
         // Frames of different clients are spread evenly, so that none waits for another.
-        let due = begin + period.mul_f64(number as f64 / f64::from(options.clients));
+        let phase = period.mul_f64(number as f64 / f64::from(options.clients));
+        let since = clock.now().since(begin + phase);
+        let due = begin + phase + period.mul_f64((since.as_secs_f64() / period.as_secs_f64()).ceil());
         let (frames, mut stopped) = (frames.clone(), stopped.clone());
-        let hook = move |_: &mut Session, report: &FrameReport, _: &WalkerPose| {
-            let mut frames = frames.lock().unwrap_or_else(PoisonError::into_inner);
-            frames.late.push(report.late);
-            frames.cull += report.cull;
-            frames.track += report.track;
+        let hook = move |session: &mut Session, report: &FrameReport, _: &WalkerPose| {
+            frames.lock().unwrap_or_else(PoisonError::into_inner).note(number, session, report);
         };
-        let mut person = Person::on(&ground, options.seed, number, options.side, Some(Box::new(hook)));
+        let mut driver: Box<dyn Driver> = match (&ways, number.checked_sub(culling)) {
+            (Some(ways), Some(number)) => {
+                Box::new(Replayer::new(ways.clone(), number, replaying, Some(Box::new(hook))))
+            }
+            _ => Box::new(Person::on(&ground, options.seed, number, options.side, Some(Box::new(hook)))),
+        };
         clients.spawn_local(async move {
-            let mut connection: Connection = connection;
             let end = async {
                 // The sender outlives every client.
                 let _ = stopped.wait_for(|&stop| stop).await;
             };
-            let ran = run_headless(&mut connection, &mut person, period, due, end).await;
+            let ran = run_headless(&mut connection, driver.as_mut(), period, due, end).await;
             let ran = ran.with_context(|| format!("client {number}"));
-            let outcome = ran.map(|summary| Outcome {
-                summary,
-                stats: *connection.session.stats(),
+            let outcome = ran.map(|_| Outcome {
                 round_trip: connection.session.round_trip().map(|(smoothed, _)| smoothed),
                 counts: connection.session.tracker().map_or((0, 0, 0), |tracker| tracker.counts()),
             });
             connection.close().await;
             outcome
         });
+    };
+    play(0, first);
+    for number in 1..options.clients {
+        tokio::select! {
+            connection = endpoint.connect(address, session(number, bounds), clock) => {
+                play(number as usize, connection.with_context(|| format!("client {number}"))?);
+            }
+            () = &mut shutdown => anyhow::bail!("ended before all clients were in"),
+        }
     }
+    tokio::time::sleep(Duration::from_secs_f64(options.settle)).await;
+    let began = Instant::now();
+    frames.lock().unwrap_or_else(PoisonError::into_inner).is_measured = true;
+    super::print("all are in\n");
 
     let end = Duration::from_secs_f64(options.seconds);
     let mut to_come = options.seconds.ceil() as u64;
@@ -229,6 +277,7 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
         }
     }
     let elapsed = began.elapsed().as_secs_f64();
+    let measured = std::mem::take(&mut *frames.lock().unwrap_or_else(PoisonError::into_inner));
     progress.finish();
     let _ = stop.send(true);
     while let Some(outcome) = clients.join_next().await {
@@ -238,10 +287,37 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
         }
     }
     endpoint.wait_idle().await;
-    let frames = std::mem::take(&mut *frames.lock().unwrap_or_else(PoisonError::into_inner));
-    super::print(&summary(&outcomes, frames, elapsed)?);
-    failed.map_or(Ok(()), Err)
+    let (text, void) = summary(&outcomes, measured, elapsed)?;
+    super::print(&text);
+    match (failed, void) {
+        (Some(error), _) => Err(error),
+        (None, Some(void)) if !options.late_ok => anyhow::bail!(void),
+        (None, Some(void)) => {
+            super::print(&format!("{void}\n"));
+            Ok(())
+        }
+        (None, None) => Ok(()),
+    }
 }
+
+/// Records the ways of those who do not cull. Takes a while, in which the first client must be heard of.
+async fn record(ground: &Ground, bounds: Aabb, options: &Swarm, period: Duration) -> anyhow::Result<Ways> {
+    let ways = WAYS.min(options.clients as usize);
+    let rules = WayRules { ways, frames: WAY_FRAMES, period, side: options.side, seed: options.seed };
+    let (ground, began) = (ground.clone(), Instant::now());
+    let ways = tokio::task::spawn_blocking(move || Ways::record(&ground, bounds, &rules)).await??;
+    super::print(&format!(
+        "recorded {} ways of {WAY_FRAMES} frames in {:.1} s, {} MB\n",
+        rules.ways,
+        began.elapsed().as_secs_f64(),
+        ways.bytes() >> 20
+    ));
+    Ok(ways)
+}
+
+/// Ways that are recorded, and frames of each: 64 times 20 s at 20 Hz.
+const WAYS: usize = 64;
+const WAY_FRAMES: usize = 400;
 
 /// What people must know, from what the server says of avatars.
 fn ground(welcome: &Welcome, plan: Option<Arc<RoomPlan>>, all_round: AllRound) -> Ground {
@@ -255,7 +331,8 @@ fn ground(welcome: &Welcome, plan: Option<Arc<RoomPlan>>, all_round: AllRound) -
     Ground { plan, avatar, anchor: DVec3::from_array(welcome.anchor), all_round: Arc::new(all_round) }
 }
 
-fn summary(outcomes: &[Outcome], mut frames: Frames, seconds: f64) -> anyhow::Result<String> {
+/// The run's row for people, and why it is void, if it is.
+fn summary(outcomes: &[Outcome], mut frames: Frames, seconds: f64) -> anyhow::Result<(String, Option<String>)> {
     frames.late.sort_unstable();
     let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
     let count = frames.late.len();
@@ -264,31 +341,31 @@ fn summary(outcomes: &[Outcome], mut frames: Frames, seconds: f64) -> anyhow::Re
         frames.late.get(index).copied().unwrap_or_default()
     };
     let clients = outcomes.len();
-    let sum = |f: &dyn Fn(&Outcome) -> u64| outcomes.iter().map(f).sum::<u64>();
+    let sum = |f: &dyn Fn(&Outcome) -> usize| outcomes.iter().map(f).sum::<usize>() as u64;
     let each = |total: u64| total as f64 / clients.max(1) as f64;
     let rtts: Vec<Duration> = outcomes.iter().filter_map(|outcome| outcome.round_trip).collect();
     let row = SwarmRow {
         clients,
         seconds,
-        frames: sum(&|outcome| outcome.summary.frames),
-        skipped: sum(&|outcome| outcome.summary.skipped),
+        frames: count as u64,
+        skipped: frames.gained(|(_, skipped)| *skipped),
         late_p50_ms: ms(late(0.5)),
         late_p99_ms: ms(late(0.99)),
         client_frame_ms: ms(frames.cull + frames.track) / count.max(1) as f64,
         cull_ms: ms(frames.cull) / count.max(1) as f64,
-        messages_in_per_client_s: each(sum(&|outcome| outcome.stats.records_in)) / seconds,
-        messages_out_per_client_s: each(sum(&|outcome| outcome.stats.records_out)) / seconds,
-        visible_mean: each(sum(&|outcome| outcome.counts.0 as u64)),
-        hidden_mean: each(sum(&|outcome| outcome.counts.1 as u64)),
+        messages_in_per_client_s: each(frames.gained(|(stats, _)| stats.records_in)) / seconds,
+        messages_out_per_client_s: each(frames.gained(|(stats, _)| stats.records_out)) / seconds,
+        visible_mean: each(sum(&|outcome| outcome.counts.0)),
+        hidden_mean: each(sum(&|outcome| outcome.counts.1)),
         rtt_ms: (!rtts.is_empty()).then(|| ms(rtts.iter().sum::<Duration>()) / rtts.len() as f64),
     };
-    let mut text = table(&[Row::of(&row)?], &columns());
-    if late(0.99) > LATE_MAX {
+    let text = table(&[Row::of(&row)?], &columns());
+    let void = (late(0.99) > LATE_MAX).then(|| {
         let (is, most) = (ms(late(0.99)), ms(LATE_MAX));
-        text += &format!(
+        format!(
             "void: one frame of a hundred began {is:.1} ms late or more, above {most} ms: the machine was too busy for \
-             these numbers to mean anything; run fewer clients, or a release build\n"
-        );
-    }
-    Ok(text)
+             these numbers to mean anything; run fewer clients, or a release build"
+        )
+    });
+    Ok((text, void))
 }
