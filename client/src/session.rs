@@ -5,10 +5,15 @@ use std::time::Duration;
 
 use eyeline_protocol::codec::{self, DatagramWriter, DecodeError};
 use eyeline_protocol::{
-    Arrival, ClientControl, ClientHeader, ClientRecord, Interest, Link, LinkHeader, LocalTime, ObjectId, Orientation,
-    Position, Prediction, Refusal, Role, ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
+    Arrival, ClientControl, ClientEntry, ClientHeader, ClientRecord, Command, Continuity, Hold, Interest, Link,
+    LinkHeader, LocalTime, ObjectId, Orientation, PAYLOAD_BYTES_MAX, Position, Prediction, Refusal, Resume, Role,
+    ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
 };
 use eyeline_visibility::{DynamicIndex, Occlusion};
+
+mod watch;
+
+use watch::Watch;
 
 use crate::clock::{Clock, DRIFT, Monotonic};
 use crate::tracking::{Ahead, Sabotage, Tracker, TrackerConfig};
@@ -25,6 +30,10 @@ pub struct SessionConfig {
     pub role: Role,
     /// A name for people.
     pub name: String,
+    /// What the server is to let us in by; empty for none.
+    pub token: Vec<u8>,
+    /// Whether there are [`Event::Revealed`], `Hidden`, `Stopped` and `Left`; default false. Who sets it must poll them.
+    pub watch: bool,
     /// The tracker's settings.
     pub tracker: TrackerConfig,
     /// Whether [`Session::take_states_received`] has something to take; default false. Who sets it must take.
@@ -38,6 +47,8 @@ impl Default for SessionConfig {
             interest: Interest::Around,
             role: Role::Avatar,
             name: String::new(),
+            token: Vec::new(),
+            watch: false,
             tracker: TrackerConfig::default(),
             record_states: false,
         }
@@ -65,6 +76,16 @@ impl SessionConfig {
         SessionConfig { name: name.into(), ..self }
     }
 
+    /// Sets what the server is to let us in by.
+    pub fn with_token(self, token: Vec<u8>) -> SessionConfig {
+        SessionConfig { token, ..self }
+    }
+
+    /// Asks for events of what comes into view, stops, and goes.
+    pub fn with_watch(self) -> SessionConfig {
+        SessionConfig { watch: true, ..self }
+    }
+
     /// Keeps which states arrive, for [`Session::take_states_received`].
     pub fn with_record_states(self) -> SessionConfig {
         SessionConfig { record_states: true, ..self }
@@ -75,6 +96,21 @@ impl SessionConfig {
         SessionConfig { tracker, ..self }
     }
 }
+
+fn hello(config: &SessionConfig, resume: Option<Resume>) -> ClientControl {
+    ClientControl::Hello {
+        version: VERSION,
+        token: config.token.clone(),
+        resolution: config.resolution,
+        interest: config.interest,
+        role: config.role,
+        name: config.name.clone(),
+        resume,
+    }
+}
+
+/// Events that nobody polls go once there are more.
+const EVENTS_MAX: usize = 4096;
 
 /// No client is silent for longer.
 const SAY_SOMETHING: Duration = Duration::from_millis(500);
@@ -93,6 +129,24 @@ pub enum Event {
     },
     /// The server said something that makes no sense; the connection is of no more use.
     ServerFault(DecodeError),
+    /// An object is shown from this frame on.
+    Revealed(ObjectId),
+    /// It is not shown any more: it is out of sight, which says nothing of whether it moves.
+    Hidden(ObjectId),
+    /// It is in sight, and stands still.
+    Stopped(ObjectId),
+    /// It exists no more.
+    Left(ObjectId),
+    /// Whose a thing is that was taken or let go.
+    Held(ObjectId, Hold),
+    /// Something of the application's, about an object that is in sight, or of the server's own.
+    Payload(Option<ObjectId>, Vec<u8>),
+    /// Somebody says something to everybody.
+    Said(String),
+    /// Who is here, for operators; a [`Event::Done`] ends the list.
+    Clients(Vec<ClientEntry>),
+    /// What came of a command, and whether it was done.
+    Done(bool, String),
 }
 
 /// Counters of a session.
@@ -141,9 +195,16 @@ pub struct Session {
     probes_from: u32,
     tracker: Option<Tracker>,
     welcome: Option<Box<Welcome>>,
+    /// Whether we come back, and have not been welcomed yet.
+    returns: bool,
     /// Roster entries of the welcome that have not arrived.
     objects_due: u32,
     moving_nodes: BTreeSet<String>,
+    /// Messages of roster and leaving since everything was told.
+    heard: u32,
+    watch: Watch,
+    /// Our own eye, where it is not our avatar's, until it is said.
+    eye_due: Option<(Position, Orientation)>,
     poses: BTreeMap<ObjectId, (Position, Orientation)>,
     /// Avatars whose newest pose has not been said, by id; emptied in turn so that none is starved.
     poses_due: VecDeque<ObjectId>,
@@ -163,14 +224,7 @@ pub struct Session {
 impl Session {
     /// A session that says hello first. `make_index` makes T once the server has let it in.
     pub fn new(config: SessionConfig, make_index: IndexMaker) -> Session {
-        let hello = ClientControl::Hello {
-            version: VERSION,
-            token: Vec::new(),
-            resolution: config.resolution,
-            interest: config.interest,
-            role: config.role,
-            name: config.name.clone(),
-        };
+        let hello = hello(&config, None);
         Session {
             config,
             make_index,
@@ -180,8 +234,12 @@ impl Session {
             probes_from: 0,
             tracker: None,
             welcome: None,
+            returns: false,
             objects_due: 0,
             moving_nodes: BTreeSet::new(),
+            heard: 0,
+            watch: Watch::default(),
+            eye_due: None,
             poses: BTreeMap::new(),
             poses_due: VecDeque::new(),
             owes_ack: false,
@@ -208,12 +266,26 @@ impl Session {
 
     /// One control message, without its length prefix.
     pub fn handle_control(&mut self, bytes: &[u8]) {
+        while self.events.len() > EVENTS_MAX {
+            self.events.pop_front();
+        }
         match codec::decode_server_control(bytes) {
             Err(error) => self.events.push_back(Event::ServerFault(error)),
             Ok(ServerControl::Welcome(welcome)) => {
-                if self.welcome.is_some() {
+                if self.welcome.is_some() && !std::mem::take(&mut self.returns) {
                     return;
                 }
+                self.returns = false;
+                // Without a frame yet, say something: the clock needs a probe.
+                self.owes_ack = true;
+                if welcome.continuity == Continuity::Kept && self.tracker.is_some() {
+                    // All that we hold goes on to hold; where we are is said again.
+                    self.poses_due = self.poses.keys().copied().collect();
+                    self.welcome = Some(welcome.clone());
+                    self.events.push_back(Event::Welcomed(welcome));
+                    return;
+                }
+                (self.heard, self.moving_nodes) = (0, BTreeSet::new());
                 let tracker = Tracker::new(
                     self.config.tracker.clone(),
                     welcome.tracking,
@@ -225,33 +297,111 @@ impl Session {
                 .with_tick(Duration::from_micros(u64::from(welcome.tick_micros)));
                 self.tracker = Some(tracker);
                 self.poses = welcome.avatars.iter().map(|&(id, at, turn)| (id, (at, turn))).collect();
-                // Without a frame yet, say something: the clock needs a probe.
-                self.owes_ack = true;
+                self.poses_due.clear();
                 self.objects_due = welcome.objects;
                 self.welcome = Some(welcome.clone());
                 self.events.push_back(Event::Welcomed(welcome));
             }
             Ok(ServerControl::Refused { refusal, reason }) => self.events.push_back(Event::Refused { refusal, reason }),
             Ok(ServerControl::Roster { tick, entries }) => {
+                self.heard = self.heard.saturating_add(1);
                 if self.objects_due > 0 {
                     self.objects_due = self.objects_due.saturating_sub(entries.len() as u32);
                     let nodes = entries.iter().filter(|entry| !entry.node.is_empty());
                     self.moving_nodes.extend(nodes.map(|entry| entry.node.clone()));
                 }
                 if let Some(tracker) = &mut self.tracker {
-                    for entry in &entries {
+                    // Everybody is told of everybody who comes, us included.
+                    let own = self.welcome.as_ref().map_or(&[][..], |welcome| &welcome.avatars);
+                    for entry in entries.iter().filter(|entry| !own.iter().any(|own| own.0 == entry.object)) {
                         tracker.handle_roster(entry, tick);
                     }
                 }
             }
             Ok(ServerControl::Left { objects }) => {
+                self.heard = self.heard.saturating_add(1);
                 if let Some(tracker) = &mut self.tracker {
                     for object in objects {
                         tracker.handle_left(object);
+                        if self.config.watch {
+                            self.watch.leave(object);
+                            self.events.push_back(Event::Left(object));
+                        }
                     }
                 }
             }
+            Ok(ServerControl::Held { object, hold }) => {
+                if hold == Hold::Yours {
+                    let shown = self.tracker.as_ref().and_then(|tracker| tracker.shown(object));
+                    let pose = shown.map_or(Default::default(), |drawn| (drawn.position, drawn.orientation));
+                    self.poses.entry(object).or_insert(pose);
+                } else if !self.is_own_avatar(object) {
+                    self.poses.remove(&object);
+                    self.poses_due.retain(|&due| due != object);
+                }
+                self.events.push_back(Event::Held(object, hold));
+            }
+            Ok(ServerControl::Payload { object, bytes }) => self.events.push_back(Event::Payload(object, bytes)),
+            Ok(ServerControl::Said { text }) => self.events.push_back(Event::Said(text)),
+            Ok(ServerControl::Clients { entries }) => self.events.push_back(Event::Clients(entries)),
+            Ok(ServerControl::Done { ok, text }) => self.events.push_back(Event::Done(ok, text)),
         }
+    }
+
+    fn is_own_avatar(&self, object: ObjectId) -> bool {
+        self.welcome.as_ref().is_some_and(|welcome| welcome.avatars.iter().any(|own| own.0 == object))
+    }
+
+    /// The connection was lost and there will be another: says hello there, and that we were here before. What is believed
+    /// goes on to hold if the server remembers us, which its welcome says.
+    pub fn reconnect(&mut self) {
+        let resume = self.welcome.as_ref().map(|welcome| {
+            let has_all = self.objects_due == 0 && self.tracker.is_some();
+            Resume { token: welcome.resume, heard: has_all.then_some(self.heard) }
+        });
+        self.returns = true;
+        self.link = Link::default();
+        self.probes_from = 0;
+        self.held_back = None;
+        self.said_at = None;
+        self.control = VecDeque::from([codec::encode_control(&hello(&self.config, resume))]);
+    }
+
+    /// Whether hello was said and the welcome has not come.
+    pub fn is_waiting(&self) -> bool {
+        self.welcome.is_none() || self.returns
+    }
+
+    /// Wants to move a thing that is near and in sight; [`Event::Held`] answers. Once it is ours, [`Session::set_pose`] moves it.
+    pub fn take(&mut self, object: ObjectId) {
+        self.control.push_back(codec::encode_control(&ClientControl::Take { object }));
+    }
+
+    /// Puts a thing down.
+    pub fn let_go(&mut self, object: ObjectId) {
+        self.control.push_back(codec::encode_control(&ClientControl::LetGo { object }));
+    }
+
+    /// Things that are ours to move, ascending.
+    pub fn things(&self) -> impl Iterator<Item = ObjectId> + '_ {
+        self.poses.keys().copied().filter(|&object| !self.is_own_avatar(object))
+    }
+
+    /// Sends something of the application's to those who are told of `object`, an avatar or a thing of ours. More than
+    /// [`PAYLOAD_BYTES_MAX`] bytes are cut off.
+    pub fn send_payload(&mut self, object: ObjectId, mut bytes: Vec<u8>) {
+        bytes.truncate(PAYLOAD_BYTES_MAX);
+        self.control.push_back(codec::encode_control(&ClientControl::Payload { object, bytes }));
+    }
+
+    /// Keeps order, as an operator may; [`Event::Done`] answers.
+    pub fn command(&mut self, command: Command) {
+        self.control.push_back(codec::encode_control(&ClientControl::Command(command)));
+    }
+
+    /// Looks from here rather than from our avatar's eye: relative to the anchor, and within 2 m of it for who may not fly.
+    pub fn set_eye(&mut self, position: Position, orientation: Orientation) {
+        self.eye_due = Some((position, orientation));
     }
 
     /// Acts on what control messages brought, with the newest frame's `occlusion`, instead of at the next frame.
@@ -284,6 +434,7 @@ impl Session {
             return;
         }
         self.owes_ack = true;
+        self.watch.hear(header.tick);
         if sent_at.is_some() && header.link.ack < self.probes_from {
             self.clock.observe_stamp(header.sent, now);
         } else if let Some(sent_at) = sent_at {
@@ -371,7 +522,14 @@ impl Session {
         self.shown = shown;
         // Who says nothing for long is told nothing, and hears of nothing that it could acknowledge.
         self.owes_ack |= self.said_at.is_none_or(|at| now.since(at) >= SAY_SOMETHING);
-        self.tracker.as_mut()?.frame(latest, ahead, occlusion, now);
+        let tracker = self.tracker.as_mut()?;
+        tracker.frame(latest, ahead, occlusion, now);
+        if self.config.watch {
+            let tick = self.welcome.as_ref().map_or(0, |welcome| welcome.tick_micros);
+            let excess = self.events.len().saturating_sub(EVENTS_MAX);
+            self.events.drain(..excess);
+            self.watch.frame(tracker, Duration::from_micros(u64::from(tick)), &mut self.events);
+        }
         Some(FrameTime { latest, shown })
     }
 
@@ -395,7 +553,7 @@ impl Session {
         let now = self.own_time(now);
         let tracker = self.tracker.as_mut()?;
         let mut next = self.held_back.take().or_else(|| tracker.poll_record(now));
-        if next.is_none() && self.poses_due.is_empty() && !self.owes_ack {
+        if next.is_none() && self.poses_due.is_empty() && self.eye_due.is_none() && !self.owes_ack {
             return None;
         }
         let owed_ack = std::mem::take(&mut self.owes_ack);
@@ -405,8 +563,18 @@ impl Session {
         let mut probe = DatagramWriter::new(&ClientHeader { link: longest, frame: WorldTime::MAX }, limit);
         let mut records = Vec::new();
         let mut questions = Vec::new();
+        if let Some((position, orientation)) = self.eye_due {
+            let record = ClientRecord::Eye { position, orientation };
+            if probe.push(&record) {
+                records.push(record);
+                self.eye_due = None;
+            }
+        }
         while let Some(&object) = self.poses_due.front() {
-            let (position, orientation) = self.poses[&object];
+            let Some(&(position, orientation)) = self.poses.get(&object) else {
+                self.poses_due.pop_front();
+                continue;
+            };
             let record = ClientRecord::Pose { object, position, orientation };
             if !probe.push(&record) {
                 break;
@@ -443,9 +611,15 @@ impl Session {
         Some(writer.finish())
     }
 
-    /// The next event.
+    /// The next event. More than 4,096 are not kept: the oldest go.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.events.pop_front()
+    }
+
+    /// The next event after which there is nothing more to come over this connection. Leaves all others.
+    pub fn poll_fault(&mut self) -> Option<Event> {
+        let is_fault = |event: &Event| matches!(event, Event::Refused { .. } | Event::ServerFault(_));
+        self.events.remove(self.events.iter().position(is_fault)?)
     }
 
     /// What the server said at the beginning.

@@ -66,6 +66,10 @@ mod tests {
             world: WorldInfo { name: "w".into(), hash: [0; 32], size_bytes: 0, two_sided: false },
             classes: Vec::new(),
             objects,
+            rank: eyeline_protocol::Rank::Actor,
+            resume: [0; 16],
+            grace_millis: 0,
+            continuity: eyeline_protocol::Continuity::New,
         }
     }
 

@@ -5,8 +5,8 @@ use serde::de::DeserializeOwned;
 
 use crate::codec::DecodeError;
 use crate::{
-    Class, ClientControl, ClientHeader, ClientRecord, Extent, MotionBound, Role, RosterEntry, ServerControl,
-    ServerHeader, ServerRecord, Welcome,
+    Class, ClientControl, ClientEntry, ClientHeader, ClientRecord, Command, Extent, MotionBound, PAYLOAD_BYTES_MAX,
+    Role, RosterEntry, ServerControl, ServerHeader, ServerRecord, TEXT_BYTES_MAX, Welcome,
 };
 
 /// Greatest size of a token in hello, in bytes.
@@ -40,11 +40,22 @@ impl Message for ClientControl {
                 at_most("token", token.len(), TOKEN_BYTES_MAX)?;
                 at_most("name", name.len(), NAME_BYTES_MAX)?;
                 match *role {
-                    Role::Avatar => Ok(()),
+                    Role::Avatar | Role::Viewer => Ok(()),
                     Role::Actor { avatars } => at_most("avatars", usize::from(avatars), AVATARS_MAX),
                 }
             }
-            ClientControl::WorldWanted | ClientControl::Place { .. } | ClientControl::Goodbye => Ok(()),
+            ClientControl::Payload { bytes, .. } => at_most("payload", bytes.len(), PAYLOAD_BYTES_MAX),
+            ClientControl::Command(command) => match command {
+                Command::List => Ok(()),
+                Command::Kick { reason: text, .. } | Command::Ban { reason: text, .. } | Command::Say { text } => {
+                    at_most("text", text.len(), TEXT_BYTES_MAX)
+                }
+            },
+            ClientControl::WorldWanted
+            | ClientControl::Place { .. }
+            | ClientControl::Goodbye
+            | ClientControl::Take { .. }
+            | ClientControl::LetGo { .. } => Ok(()),
         }
     }
 }
@@ -63,6 +74,16 @@ impl Message for ServerControl {
                 })
             }
             ServerControl::Left { objects } => at_most("objects", objects.len(), AVATARS_MAX),
+            ServerControl::Payload { bytes, .. } => at_most("payload", bytes.len(), PAYLOAD_BYTES_MAX),
+            ServerControl::Clients { entries } => {
+                at_most("entries", entries.len(), ServerControl::ROSTER_MAX)?;
+                entries.iter().try_for_each(|ClientEntry { name, subject, .. }| {
+                    at_most("client name", name.len(), NAME_BYTES_MAX)?;
+                    at_most("subject", subject.len(), NAME_BYTES_MAX)
+                })
+            }
+            ServerControl::Said { text } => at_most("text", text.len(), TEXT_BYTES_MAX),
+            ServerControl::Done { .. } | ServerControl::Held { .. } => Ok(()),
         }
     }
 }

@@ -146,6 +146,7 @@ pub fn decode_client_control(bytes: &[u8]) -> Result<ClientControl, DecodeError>
             interest: Interest::Around,
             role: Role::Avatar,
             name: String::new(),
+            resume: None,
         });
     }
     decode_control(bytes, CLIENT_CONTROL_BYTES_MAX)

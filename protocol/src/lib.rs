@@ -55,6 +55,7 @@ mod ids;
 mod link;
 mod message;
 mod motion;
+mod people;
 mod position;
 mod tbv;
 mod time;
@@ -69,12 +70,19 @@ pub use message::{
     ServerHeader, ServerRecord, Want, Welcome, WireTbv, WorldInfo,
 };
 pub use motion::{Extent, MotionBound};
+pub use people::{ClientEntry, Command, Continuity, Hold, PAYLOAD_BYTES_MAX, Rank, Resume, TEXT_BYTES_MAX};
 pub use position::{METRES_MAX, Orientation, OutOfRange, Position, QUANTUM_METRES};
 pub use tbv::Tbv;
 pub use time::{LocalTime, WorldTime};
 
 /// Version of everything in this crate. Peers with different versions part at hello.
-pub const VERSION: u16 = 2;
+pub const VERSION: u16 = 3;
+
+/// How far an actor's eye may be from its avatar's, metres.
+pub const EYE_REACH: f64 = 2.0;
+
+/// How far a thing that is taken may be from the avatar that takes it, metres, as their edges go.
+pub const TAKE_REACH: f64 = 1.5;
 
 /// ALPN protocol name offered in the TLS handshake. It names no version: a peer of another one is to hear so in words.
 pub const ALPN: &[u8] = b"eyeline";

@@ -21,14 +21,21 @@
 //!   object want_bound             3 1            2 Violation                     7..19
 //! 3 ViolationAck                  5..9             object issue age present      3 1..5 1..9 1
 //!   object issue                  3 1..5         3 Hidden                        4
-//!                                                  object                        3
+//! 4 Eye                           17               object                        3
+//!   position orientation          12 4
 //!
 //! control, client to server       bytes          control, server to client       bytes
-//! 0 Hello                         at most 1,300  0 Welcome                       19 an avatar, 50..315 a class
+//! 0 Hello                         at most 1,321  0 Welcome                       19 an avatar, 50..315 a class
 //! 1 WorldWanted                   1              1 Refused                       the reason's length and 3 or more
 //! 2 Place                         17             2 Roster                        9..566 an entry
 //!   object position present       3 12 1         3 Left                          3 an object
-//! 3 Goodbye                       1
+//! 3 Goodbye                       1              4 Held                          5
+//! 4 Take                          4                object hold                   3 1
+//! 5 LetGo                         4              5 Payload                       its length and 5 or more
+//! 6 Payload                       5..1,031         object bytes                  3 1..1,027
+//!   object bytes                  3 1..1,027     6 Said                          the text's length and 2 or more
+//! 7 Command                       2..1,037       7 Clients                       10..537 an entry
+//!                                                8 Done                          the text's length and 3 or more
 //! ```
 //!
 //! The first byte of a record or control message is its number in this table. Integers are bincode's variable-length
@@ -38,8 +45,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    ClassId, ClientId, Extent, Issue, LinkHeader, MotionBound, ObjectId, Orientation, Position, Tbv, Velocity,
-    WorldTime,
+    ClassId, ClientEntry, ClientId, Command, Continuity, Extent, Hold, Issue, LinkHeader, MotionBound, ObjectId,
+    Orientation, Position, Rank, Resume, Tbv, Velocity, WorldTime,
 };
 use crate::{QUANTUM_METRES, untrusted};
 
@@ -53,6 +60,8 @@ pub enum Role {
         /// Number of avatars to drive.
         avatars: u16,
     },
+    /// Looks, from wherever it says that its eye is, and has no avatar.
+    Viewer,
 }
 
 /// Which directions a client wants to hear of.
@@ -92,6 +101,8 @@ pub enum ClientControl {
         /// A name for people.
         #[serde(deserialize_with = "untrusted::string")]
         name: String,
+        /// Whether it was here before, and comes back. Role and name are then those it had.
+        resume: Option<Resume>,
     },
     /// Asks for the world's bytes, on a stream of their own.
     WorldWanted,
@@ -106,6 +117,26 @@ pub enum ClientControl {
     },
     /// The last message.
     Goodbye,
+    /// Wants to move a thing: [`ServerControl::Held`] answers. Whose it is moves it with poses, held to its class's bound.
+    Take {
+        /// Which.
+        object: ObjectId,
+    },
+    /// Has put it down.
+    LetGo {
+        /// Which.
+        object: ObjectId,
+    },
+    /// Something of the application's, about one of its own avatars or things, for those who are told of that.
+    Payload {
+        /// About which.
+        object: ObjectId,
+        /// At most [`crate::PAYLOAD_BYTES_MAX`].
+        #[serde(deserialize_with = "untrusted::list")]
+        bytes: Vec<u8>,
+    },
+    /// Keeps order, as an operator may: [`ServerControl::Done`] answers.
+    Command(Command),
 }
 
 /// A kind of object.
@@ -169,6 +200,14 @@ pub struct Welcome {
     pub classes: Vec<Class>,
     /// Roster entries that follow at once. Who has them all knows which nodes of the model move, and so what stands.
     pub objects: u32,
+    /// What this client may do.
+    pub rank: Rank,
+    /// What to come back with if the connection is lost.
+    pub resume: [u8; 16],
+    /// For how long its avatars then wait for it, milliseconds; 0 if they don't.
+    pub grace_millis: u32,
+    /// Whether it has come back.
+    pub continuity: Continuity,
 }
 
 /// One object that exists. Says nothing of where it is beyond `bound`.
@@ -203,6 +242,16 @@ pub enum Refusal {
     Protocol,
     /// The server ends.
     ShuttingDown,
+    /// Its token is missing, wrong, revoked or too old, or does not let it be what it wants to be.
+    Token,
+    /// It is not to come back.
+    Banned,
+    /// An operator sent it away.
+    Kicked,
+    /// It asks for more than the server's limits allow.
+    Busy,
+    /// It has come back over another connection.
+    Replaced,
 }
 
 /// Server to client, on the control stream.
@@ -232,10 +281,45 @@ pub enum ServerControl {
         #[serde(deserialize_with = "untrusted::list")]
         objects: Vec<ObjectId>,
     },
+    /// Whose a thing is now: the answer to [`ClientControl::Take`] and [`ClientControl::LetGo`].
+    Held {
+        /// Which.
+        object: ObjectId,
+        /// Whose.
+        hold: Hold,
+    },
+    /// Something of the application's.
+    Payload {
+        /// About which object, that this client is told of; `None` if it is the server's own.
+        object: Option<ObjectId>,
+        /// At most [`crate::PAYLOAD_BYTES_MAX`].
+        #[serde(deserialize_with = "untrusted::list")]
+        bytes: Vec<u8>,
+    },
+    /// An operator or the server says something to people.
+    Said {
+        /// What.
+        #[serde(deserialize_with = "untrusted::string")]
+        text: String,
+    },
+    /// Who is here, in pieces; [`ServerControl::Done`] ends them.
+    Clients {
+        /// At most [`ServerControl::ROSTER_MAX`].
+        #[serde(deserialize_with = "untrusted::list")]
+        entries: Vec<ClientEntry>,
+    },
+    /// What came of a [`Command`].
+    Done {
+        /// Whether it was done.
+        ok: bool,
+        /// What was done, or why not, for people.
+        #[serde(deserialize_with = "untrusted::string")]
+        text: String,
+    },
 }
 
 impl ServerControl {
-    /// Most entries in one piece of roster.
+    /// Most entries in one piece of roster, or of a list of clients.
     pub const ROSTER_MAX: usize = 256;
 }
 
@@ -317,6 +401,13 @@ pub enum ClientRecord {
         object: ObjectId,
         /// The issue number heard of.
         issue: Issue,
+    },
+    /// Where its own eye is, if not at its avatar's. 17 bytes.
+    Eye {
+        /// The eye itself.
+        position: Position,
+        /// How it looks.
+        orientation: Orientation,
     },
 }
 

@@ -144,6 +144,7 @@ mod tests {
             node: None,
             position,
             heading: 0.0,
+            takeable: false,
             path: None,
         };
         let objects =
@@ -160,7 +161,7 @@ mod tests {
         let (mut audit, world) = stage();
         let watcher = |session, eye| Watcher {
             session: SessionId(session),
-            avatar: ObjectId(9),
+            avatar: Some(ObjectId(9)),
             eye,
             yaw: 0.0,
             interest: Interest::Around,

@@ -6,6 +6,7 @@
 #[cfg(all(feature = "net", feature = "audit"))]
 pub mod app;
 pub mod audit;
+pub mod gate;
 #[cfg(any(feature = "net", feature = "audit"))]
 mod hash;
 #[cfg(feature = "audit")]

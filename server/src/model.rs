@@ -95,6 +95,9 @@ struct Extras {
     bottom: f64,
     top: Option<f64>,
     speed_max: Option<f64>,
+    /// People may move it.
+    #[serde(default)]
+    takeable: bool,
     path: Option<PathSpec>,
 }
 
@@ -294,6 +297,7 @@ fn spec_of_extras(file: &str, scene: &Scene, stats: &LoadStats) -> Result<WorldS
             node: None,
             position: origin.to_array(),
             heading: 0.0,
+            takeable: extras.takeable,
             path: extras.path,
         });
     }
@@ -349,6 +353,7 @@ mod tests {
             node: None,
             position: [0.0; 3],
             heading: 0.0,
+            takeable: false,
             path: None,
         };
         let spec = WorldSpec { classes: vec![class], objects: vec![object], ..WorldSpec::default() };

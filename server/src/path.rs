@@ -375,6 +375,7 @@ mod tests {
             node: None,
             position: [1.0, 0.0, 0.0],
             heading: 0.0,
+            takeable: false,
             path: Some(path),
         };
         let mut world = WorldSpec { classes: vec![class], objects: vec![object], ..WorldSpec::default() };

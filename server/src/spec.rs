@@ -97,6 +97,9 @@ pub struct ObjectSpec {
     /// Turn about +Y at rest.
     #[serde(default)]
     pub heading: f64,
+    /// Whether people may take it and move it; held to its class's speed. What was taken no longer follows its path.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub takeable: bool,
     /// How it moves by itself, if it does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<PathSpec>,

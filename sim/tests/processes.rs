@@ -334,7 +334,15 @@ fn hostile_peers_harm_nobody_but_themselves() {
         let hello = |version| {
             let (token, name) = (Vec::new(), "hostile".to_owned());
             let (resolution, interest, role) = ((320, 240), Interest::Around, Role::Avatar);
-            codec::encode_control(&ClientControl::Hello { version, token, resolution, interest, role, name })
+            codec::encode_control(&ClientControl::Hello {
+                version,
+                token,
+                resolution,
+                interest,
+                role,
+                name,
+                resume: None,
+            })
         };
         // Another version is refused, and told why.
         let mut peer = Peer::connect(server.address).await;

@@ -129,40 +129,51 @@ impl Endpoint {
         session: Session,
         clock: LocalClock,
     ) -> Result<Connection, NetError> {
+        let (quic, send, receive) = self.dial(address).await?;
+        let reader = ControlReader::default();
+        let mut connection = Connection { quic, send, receive, reader, session, clock, dropped: 0 };
+        connection.greet(address).await?;
+        Ok(connection)
+    }
+
+    /// Connects again what was lost. If the server remembers us then what we hold goes on to hold; its welcome says so
+    /// ([`eyeline_protocol::Continuity`]). May be tried again after an error.
+    ///
+    /// # Errors
+    /// As [`Endpoint::connect`].
+    pub async fn resume(&self, address: SocketAddr, connection: &mut Connection) -> Result<(), NetError> {
+        connection.quic.close(0u32.into(), b"comes back");
+        (connection.quic, connection.send, connection.receive) = self.dial(address).await?;
+        connection.reader = ControlReader::default();
+        connection.session.reconnect();
+        connection.greet(address).await
+    }
+
+    async fn dial(
+        &self,
+        address: SocketAddr,
+    ) -> Result<(quinn::Connection, quinn::SendStream, quinn::RecvStream), NetError> {
         let connecting =
             self.endpoint.connect(address, "eyeline").map_err(|source| NetError::Connect { address, source })?;
-        let silent = |what: &str| {
-            let waited = CONNECT_TIMEOUT.as_secs();
-            let reason = format!("{what} within {waited} s; is the server running, and is this its address?");
-            NetError::Handshake { address, reason }
-        };
         let connection = match tokio::time::timeout(CONNECT_TIMEOUT, connecting).await {
-            Err(_) | Ok(Err(quinn::ConnectionError::TimedOut)) => return Err(silent("nothing answers there")),
+            Err(_) | Ok(Err(quinn::ConnectionError::TimedOut)) => {
+                return Err(silent(address, "nothing answers there"));
+            }
             Ok(Err(error)) => return Err(NetError::Handshake { address, reason: handshake_reason(&error) }),
             Ok(Ok(connection)) => connection,
         };
         let (send, receive) = connection.open_bi().await.map_err(|error| NetError::Lost(error.to_string()))?;
-        let mut connection = Connection {
-            quic: connection,
-            send,
-            receive,
-            reader: ControlReader::default(),
-            session,
-            clock,
-            dropped: 0,
-        };
-        connection.flush().await?;
-        let welcomed = async {
-            while connection.session.welcome().is_none() {
-                connection.wait_control().await?;
-            }
-            Ok(())
-        };
-        match tokio::time::timeout(CONNECT_TIMEOUT, welcomed).await {
-            Err(_) => Err(silent("it does not answer our hello")),
-            Ok(Err(error)) => Err(error),
-            Ok(Ok(())) => Ok(connection),
-        }
+        Ok((connection, send, receive))
+    }
+
+    /// Goes on over another socket, as a client does whose address changes; connections go with it.
+    ///
+    /// # Errors
+    /// If there is no socket to be had.
+    pub fn rebind(&self) -> Result<(), NetError> {
+        let mut address = self.endpoint.local_addr()?;
+        address.set_port(0);
+        Ok(self.endpoint.rebind(socket(address)?)?)
     }
 
     /// Waits until every connection has said goodbye.
@@ -173,6 +184,12 @@ impl Endpoint {
 
 /// For how long a server may take to answer, first the handshake, then hello.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+
+fn silent(address: SocketAddr, what: &str) -> NetError {
+    let waited = CONNECT_TIMEOUT.as_secs();
+    let reason = format!("{what} within {waited} s; is the server running, and is this its address?");
+    NetError::Handshake { address, reason }
+}
 
 /// Why there was no handshake, for people.
 fn handshake_reason(error: &quinn::ConnectionError) -> String {
@@ -213,6 +230,21 @@ impl Connection {
     /// The process's clock.
     pub fn clock(&self) -> LocalClock {
         self.clock
+    }
+
+    /// Says hello and waits until it is answered.
+    async fn greet(&mut self, address: SocketAddr) -> Result<(), NetError> {
+        self.flush().await?;
+        let welcomed = async {
+            while self.session.is_waiting() {
+                self.wait_control().await?;
+            }
+            Ok(())
+        };
+        match tokio::time::timeout(CONNECT_TIMEOUT, welcomed).await {
+            Err(_) => Err(silent(address, "it does not answer our hello")),
+            Ok(answer) => answer,
+        }
     }
 
     /// Sends whatever the session has to say.
@@ -281,17 +313,14 @@ impl Connection {
         while let Some(message) = self.reader.next_message()? {
             self.session.handle_control(&message);
         }
-        while let Some(event) = self.session.poll_event() {
-            match event {
-                Event::Welcomed(_) => {}
-                Event::Refused { refusal: eyeline_protocol::Refusal::ShuttingDown, reason } => {
-                    return Err(NetError::Ended(reason));
-                }
-                Event::Refused { refusal, reason } => return Err(NetError::Refused { refusal, reason }),
-                Event::ServerFault(error) => return Err(error.into()),
+        match self.session.poll_fault() {
+            Some(Event::Refused { refusal: eyeline_protocol::Refusal::ShuttingDown, reason }) => {
+                Err(NetError::Ended(reason))
             }
+            Some(Event::Refused { refusal, reason }) => Err(NetError::Refused { refusal, reason }),
+            Some(Event::ServerFault(error)) => Err(error.into()),
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     /// Fetches the model's bytes, checked against the hash in the welcome.

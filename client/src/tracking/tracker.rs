@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use eyeline_protocol::{
     Class, ClientRecord, Issue, LocalTime, ObjectId, Orientation, Position, Prediction as State, Reason, RosterEntry,
-    Tbv, Want, WorldTime,
+    Tbv, Velocity, Want, WorldTime,
 };
 use eyeline_visibility::{Bound, DynamicIndex, Occlusion};
 use glam::DVec3;
@@ -24,6 +24,8 @@ pub struct Drawn {
     pub orientation: Orientation,
     /// World time of that state.
     pub tick: WorldTime,
+    /// How it moved by that state; zero without dead reckoning.
+    pub velocity: Velocity,
 }
 
 /// What the client believes about an object.
@@ -860,9 +862,14 @@ impl Tracker {
             let entry = self.entries.get(&object).filter(|entry| !self.is_stale(entry))?;
             let state = entry.state?;
             let position = dead_reckoning::drawn(&state, self.latest);
-            let drawn = Drawn { object, position, orientation: state.orientation, tick: state.tick };
-            Some((drawn, entry.hidden_frames == 0))
+            let State { orientation, tick, velocity, .. } = state;
+            Some((Drawn { object, position, orientation, tick, velocity }, entry.hidden_frames == 0))
         })
+    }
+
+    /// Where one object is shown, if it is.
+    pub fn shown(&self, object: ObjectId) -> Option<Drawn> {
+        self.drawn().find(|drawn| drawn.object == object)
     }
 
     /// What the client shows in the newest frame, by id.

@@ -112,9 +112,10 @@ fn whatever_is_legal_fits() {
         interest: Interest::Frustum,
         role: Role::Actor { avatars: AVATARS_MAX as u16 },
         name: name.clone(),
+        resume: Some(Resume { token: [0xff; 16], heard: Some(u32::MAX) }),
     };
     let bytes = control_bytes(&hello);
-    assert!(bytes.len() <= 1300, "{}", bytes.len());
+    assert!(bytes.len() <= 1321, "{}", bytes.len());
     assert_eq!(codec::decode_client_control(&bytes), Ok(hello));
 
     let class = Class {
@@ -138,6 +139,10 @@ fn whatever_is_legal_fits() {
             world: WorldInfo { name: name.clone(), hash: [0xff; 32], size_bytes: u64::MAX, two_sided: true },
             classes: vec![class.clone(); classes],
             objects: u32::MAX,
+            rank: Rank::Operator,
+            resume: [0xff; 16],
+            grace_millis: u32::MAX,
+            continuity: Continuity::Kept,
         }))
     };
     let size = |avatars, classes| control_bytes(&welcome(avatars, classes)).len();
@@ -167,6 +172,28 @@ fn whatever_is_legal_fits() {
     assert_eq!(control_bytes(&roster(2)).len() - control_bytes(&roster(1)).len(), 566);
     let greatest = roster(ServerControl::ROSTER_MAX);
     assert_eq!(codec::decode_server_control(&control_bytes(&greatest)), Ok(greatest));
+
+    let entry = ClientEntry {
+        client: ClientId(u32::MAX),
+        name: name.clone(),
+        subject: name.clone(),
+        rank: Rank::Operator,
+        avatars: u16::MAX,
+        seconds: u32::MAX,
+        rtt_micros: Some(u32::MAX),
+        away: true,
+    };
+    let clients = |entries| ServerControl::Clients { entries: vec![entry.clone(); entries] };
+    assert_eq!(control_bytes(&clients(2)).len() - control_bytes(&clients(1)).len(), 537);
+    let greatest = clients(ServerControl::ROSTER_MAX);
+    assert_eq!(codec::decode_server_control(&control_bytes(&greatest)), Ok(greatest));
+
+    let payload = ClientControl::Payload { object: ObjectId::MAX, bytes: vec![0xff; PAYLOAD_BYTES_MAX] };
+    assert_eq!(codec::decode_client_control(&control_bytes(&payload)), Ok(payload));
+    let text = "t".repeat(TEXT_BYTES_MAX);
+    let ban = Command::Ban { client: ClientId(u32::MAX), seconds: u32::MAX, reason: text };
+    let ban = ClientControl::Command(ban);
+    assert_eq!(codec::decode_client_control(&control_bytes(&ban)), Ok(ban));
 
     let greatest = ServerControl::Left { objects: vec![ObjectId::MAX; AVATARS_MAX] };
     assert_eq!(codec::decode_server_control(&control_bytes(&greatest)), Ok(greatest));

@@ -199,9 +199,9 @@ fn a_claimed_length_costs_nothing() {
 #[test]
 fn a_list_that_claims_too_much_is_an_error() {
     // Up to the length of each list and string of a message.
-    let prefixes: [(&str, Decoder, &str); 13] = [
-        ("token", DECODERS[0], "00 02"),
-        ("name", DECODERS[0], "00 02 00 00 00 00 00"),
+    let prefixes: [(&str, Decoder, &str); 20] = [
+        ("token", DECODERS[0], "00 03"),
+        ("name", DECODERS[0], "00 03 00 00 00 00 00"),
         ("avatars", DECODERS[1], "00 01 00"),
         ("policy", DECODERS[1], "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01"),
         (
@@ -226,6 +226,13 @@ fn a_list_that_claims_too_much_is_an_error() {
         ("entry", DECODERS[1], "02 00 01 000000 00"),
         ("node", DECODERS[1], "02 00 01 000000 00 00"),
         ("objects", DECODERS[1], "03"),
+        ("a client's payload", DECODERS[0], "06 000000"),
+        ("what an operator says", DECODERS[0], "07 03"),
+        ("why somebody is banned", DECODERS[0], "07 02 01 01"),
+        ("payload", DECODERS[1], "05 00"),
+        ("said", DECODERS[1], "06"),
+        ("clients", DECODERS[1], "07"),
+        ("done", DECODERS[1], "08 00"),
         ("second entry", DECODERS[1], "02 00 02 000000 00 00 00 00 00 00 000000 00 00"),
     ];
     for (field, decode, prefix) in prefixes {
@@ -293,10 +300,11 @@ fn impossible_values_are_refused_by_name() {
 
     // A welcome with a tick of 0, as bytes.
     let no_tick = "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 00 00 01 000000000000f03f 00 00 \
-                   0000000000000000000000000000000000000000000000000000000000000000 00 00 00 00";
+                   0000000000000000000000000000000000000000000000000000000000000000 00 00 00 00 \
+                   00 00000000000000000000000000000000 00 00";
     assert_eq!(DECODERS[1](&samples::bytes(no_tick)), value("tick"));
     // A replay of 65,535 avatars.
-    let horde = samples::bytes("00 02 00 00 00 00 01fbffff 00");
+    let horde = samples::bytes("00 03 00 00 00 00 01fbffff 00 00");
     assert_eq!(DECODERS[0](&horde), length("avatars", AVATARS_MAX));
 }
 

@@ -76,8 +76,9 @@ pub fn client_control() -> Vec<Sample<ClientControl>> {
                 interest: Interest::Around,
                 role: Role::Avatar,
                 name: "Ada".into(),
+                resume: Some(Resume { token: [0x11; 16], heard: Some(3) }),
             },
-            hex: "00 02 02aabb fb4001 f0 00 00 03416461",
+            hex: "00 03 02aabb fb4001 f0 00 00 03416461 01 11111111111111111111111111111111 01 03",
         },
         Sample {
             name: "hello of a replay",
@@ -88,8 +89,9 @@ pub fn client_control() -> Vec<Sample<ClientControl>> {
                 interest: Interest::Frustum,
                 role: Role::Actor { avatars: 32 },
                 name: String::new(),
+                resume: None,
             },
-            hex: "00 02 00 00 00 01 0120 00",
+            hex: "00 03 00 00 00 01 0120 00 00",
         },
         Sample { name: "world wanted", message: ClientControl::WorldWanted, hex: "01" },
         Sample {
@@ -98,6 +100,29 @@ pub fn client_control() -> Vec<Sample<ClientControl>> {
             hex: "02 010203 04030201 ffffffff 00040000 01",
         },
         Sample { name: "goodbye", message: ClientControl::Goodbye, hex: "03" },
+        Sample { name: "take", message: ClientControl::Take { object: OBJECT }, hex: "04 010203" },
+        Sample { name: "let go", message: ClientControl::LetGo { object: OBJECT }, hex: "05 010203" },
+        Sample {
+            name: "payload",
+            message: ClientControl::Payload { object: OBJECT, bytes: vec![9, 8] },
+            hex: "06 010203 020908",
+        },
+        Sample { name: "list", message: ClientControl::Command(Command::List), hex: "07 00" },
+        Sample {
+            name: "kick",
+            message: ClientControl::Command(Command::Kick { client: ClientId(300), reason: "no".into() }),
+            hex: "07 01 fb2c01 026e6f",
+        },
+        Sample {
+            name: "ban",
+            message: ClientControl::Command(Command::Ban { client: ClientId(1), seconds: 60, reason: String::new() }),
+            hex: "07 02 01 3c 00",
+        },
+        Sample {
+            name: "say",
+            message: ClientControl::Command(Command::Say { text: "hi".into() }),
+            hex: "07 03 026869",
+        },
     ]
 }
 
@@ -122,6 +147,10 @@ pub fn server_control() -> Vec<Sample<ServerControl>> {
         world: WorldInfo { name: "rooms".into(), hash: [0x5a; 32], size_bytes: 1 << 32, two_sided: true },
         classes: vec![avatar],
         objects: 300,
+        rank: Rank::Operator,
+        resume: [0x22; 16],
+        grace_millis: 30_000,
+        continuity: Continuity::Kept,
     };
     let chair = RosterEntry {
         object: OBJECT,
@@ -146,16 +175,18 @@ pub fn server_control() -> Vec<Sample<ServerControl>> {
         Sample {
             name: "welcome",
             message: ServerControl::Welcome(Box::new(welcome)),
-            hex: "00 02 fb2c01 01 010203 04030201 ffffffff 00040000 fffdf75f \
+            hex: "00 03 fb2c01 01 010203 04030201 ffffffff 00040000 fffdf75f \
  000000000000f03f 00000000000000c0 000000000000e03f fb50c3 0776697369626c65 01 000000000000f03f 01000000000000e03f \
  05726f6f6d73 5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a fd0000000001000000 01 \
  01 06617661746172 0000000000000040 000000000000c03f \
- 000000000000d03f 0000000000000000 000000000000fc3f 000000000000f83f 010000000000001040 fb2c01",
+ 000000000000d03f 0000000000000000 000000000000fc3f 000000000000f83f 010000000000001040 fb2c01 \
+ 02 22222222222222222222222222222222 fb3075 02",
         },
         Sample { name: "refused: version", message: refused(Refusal::Version, "old"), hex: "01 00 036f6c64" },
         Sample { name: "refused: full", message: refused(Refusal::Full, ""), hex: "01 01 00" },
         Sample { name: "refused: protocol", message: refused(Refusal::Protocol, ""), hex: "01 02 00" },
         Sample { name: "refused: shutting down", message: refused(Refusal::ShuttingDown, "é"), hex: "01 03 02c3a9" },
+        Sample { name: "refused: replaced", message: refused(Refusal::Replaced, ""), hex: "01 08 00" },
         Sample {
             name: "roster",
             message: ServerControl::Roster { tick: WorldTime::from_micros(-1), entries: vec![chair, absent] },
@@ -168,6 +199,39 @@ pub fn server_control() -> Vec<Sample<ServerControl>> {
             message: ServerControl::Left { objects: vec![ObjectId(1), ObjectId::MAX] },
             hex: "03 02 010000 ffffff",
         },
+        Sample {
+            name: "held",
+            message: ServerControl::Held { object: OBJECT, hold: Hold::TooFar },
+            hex: "04 010203 03",
+        },
+        Sample {
+            name: "payload",
+            message: ServerControl::Payload { object: Some(OBJECT), bytes: vec![9, 8] },
+            hex: "05 01 010203 020908",
+        },
+        Sample {
+            name: "the server's payload",
+            message: ServerControl::Payload { object: None, bytes: Vec::new() },
+            hex: "05 00 00",
+        },
+        Sample { name: "said", message: ServerControl::Said { text: "hi".into() }, hex: "06 026869" },
+        Sample {
+            name: "clients",
+            message: ServerControl::Clients {
+                entries: vec![ClientEntry {
+                    client: ClientId(300),
+                    name: "Ada".into(),
+                    subject: "a".into(),
+                    rank: Rank::Actor,
+                    avatars: 1,
+                    seconds: 60,
+                    rtt_micros: Some(1000),
+                    away: true,
+                }],
+            },
+            hex: "07 01 fb2c01 03416461 0161 01 01 3c 01fbe803 01",
+        },
+        Sample { name: "done", message: ServerControl::Done { ok: false, text: "no".into() }, hex: "08 00 026e6f" },
     ]
 }
 
@@ -238,6 +302,11 @@ pub fn client_records() -> Vec<Sample<ClientRecord>> {
             name: "violation ack",
             message: ClientRecord::ViolationAck { object: OBJECT, issue: Issue(251) },
             hex: "03 010203 fbfb00",
+        },
+        Sample {
+            name: "eye",
+            message: ClientRecord::Eye { position: POSITION, orientation: half_turn() },
+            hex: "04 04030201 ffffffff 00040000 fffdf75f",
         },
     ]
 }

@@ -22,6 +22,7 @@ pub use identity::{Identity, IdentityError};
 use quinn::crypto::rustls::QuicServerConfig;
 use tokio::sync::mpsc;
 
+use crate::gate::Caller;
 use crate::world::{SessionId, Transmit, World};
 
 /// Why a server can't start.
@@ -119,7 +120,7 @@ impl Peer {
 }
 
 enum Outgoing {
-    Control(Vec<u8>),
+    Control(Arc<[u8]>),
     WorldBytes,
     Close(String),
 }
@@ -296,7 +297,8 @@ async fn serve(handle: Handle, incoming: quinn::Incoming) {
     };
     let (control, outgoing) = mpsc::channel(CONTROL_QUEUE);
     let mut id = SessionId(0);
-    handle.drive(|world, now| id = world.connect(now));
+    let caller = Caller { address: Some(connection.remote_address().ip()), resume: resume_token() };
+    handle.drive(|world, now| id = world.connect_from(now, caller));
     let empty_space = connection.datagram_send_buffer_space();
     let peer = Peer { connection: connection.clone(), control, queued_at: None, empty_space };
     handle.lock().peers.insert(id, peer);
@@ -313,6 +315,16 @@ async fn serve(handle: Handle, incoming: quinn::Incoming) {
     connection.close(0u32.into(), reason.as_bytes());
     handle.drive(|world, _| world.disconnect(id));
     handle.lock().peers.remove(&id);
+}
+
+/// What a client may come back with. All zero, so that it can't, if the system has no chance to give.
+fn resume_token() -> [u8; 16] {
+    use ring::rand::SecureRandom;
+    let mut token = [0; 16];
+    match ring::rand::SystemRandom::new().fill(&mut token) {
+        Ok(()) => token,
+        Err(_) => [0; 16],
+    }
 }
 
 async fn receive_datagrams(handle: &Handle, id: SessionId, connection: &quinn::Connection) -> String {

@@ -15,6 +15,6 @@ impl Policy for Broadcast {
     }
 
     fn interest(&mut self, objects: &[Object], watcher: &Watcher, told: &mut Vec<ObjectId>) {
-        told.extend(present(objects).map(|(id, _)| id).filter(|&id| id != watcher.avatar));
+        told.extend(present(objects).map(|(id, _)| id).filter(|&id| Some(id) != watcher.avatar));
     }
 }

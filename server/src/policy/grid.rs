@@ -49,7 +49,7 @@ impl Policy for Grid {
             middle - self.cell..=middle + self.cell
         };
         let near = self.squares.within(span(watcher.eye.x), span(watcher.eye.z));
-        told.extend(near.filter(|&id| id != watcher.avatar));
+        told.extend(near.filter(|&id| Some(id) != watcher.avatar));
         told[first..].sort_unstable();
     }
 }

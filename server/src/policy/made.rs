@@ -16,6 +16,7 @@ pub(super) fn world(places: &[[f64; 3]]) -> World {
         node: None,
         position: *position,
         heading: 0.0,
+        takeable: false,
         path: None,
     };
     let objects = places.iter().enumerate().map(object).collect();
@@ -26,5 +27,5 @@ pub(super) fn world(places: &[[f64; 3]]) -> World {
 
 /// A client with this avatar and eye.
 pub(super) fn watcher(session: u32, avatar: u32, eye: DVec3) -> Watcher {
-    Watcher { session: SessionId(session), avatar: ObjectId(avatar), eye, yaw: 0.0, interest: Interest::Around }
+    Watcher { session: SessionId(session), avatar: Some(ObjectId(avatar)), eye, yaw: 0.0, interest: Interest::Around }
 }

@@ -41,11 +41,11 @@ use crate::world::{Object, SessionId};
 pub struct Watcher {
     /// Its connection.
     pub session: SessionId,
-    /// Its avatar.
-    pub avatar: ObjectId,
-    /// Its eye, metres relative to the anchor, from the committed pose.
+    /// Its avatar, if it has one.
+    pub avatar: Option<ObjectId>,
+    /// Its eye, metres relative to the anchor: from its avatar's committed pose, or as it said itself.
     pub eye: DVec3,
-    /// Turn of its avatar about +Y, radians, from the committed pose; 0 looks along −Z.
+    /// How it is turned about +Y, radians; 0 looks along −Z.
     pub yaw: f64,
     /// Which directions it wants to hear of.
     pub interest: Interest,

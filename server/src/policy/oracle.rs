@@ -12,8 +12,8 @@ pub trait Sight: Send {
     fn begin_tick(&mut self, objects: &[Object]);
 
     /// Appends the ids of the present objects that own a pixel in a view from `eye` in any direction, ascending;
-    /// `own` is left out and hides nothing.
-    fn visible_from(&mut self, objects: &[Object], eye: DVec3, own: ObjectId, visible: &mut Vec<ObjectId>);
+    /// `own`, if there is one, is left out and hides nothing.
+    fn visible_from(&mut self, objects: &[Object], eye: DVec3, own: Option<ObjectId>, visible: &mut Vec<ObjectId>);
 }
 
 /// A client is told about what owns a pixel.

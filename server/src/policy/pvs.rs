@@ -64,7 +64,7 @@ impl Policy for Pvs {
 
     fn interest(&mut self, objects: &[Object], watcher: &Watcher, told: &mut Vec<ObjectId>) {
         let Some(cell) = self.table.grid().at(watcher.eye) else {
-            told.extend(present(objects).map(|(id, _)| id).filter(|&id| id != watcher.avatar));
+            told.extend(present(objects).map(|(id, _)| id).filter(|&id| Some(id) != watcher.avatar));
             return;
         };
         let mut now = self.outside.clone();
@@ -75,7 +75,7 @@ impl Policy for Pvs {
         }
         now.sort_unstable();
         now.dedup();
-        told.extend(now.into_iter().filter(|&id| id != watcher.avatar));
+        told.extend(now.into_iter().filter(|&id| Some(id) != watcher.avatar));
     }
 }
 

@@ -80,7 +80,7 @@ impl Policy for Radius {
         let mut now: Vec<ObjectId> = self
             .squares
             .within(eye.x - reach..=eye.x + reach, eye.z - reach..=eye.z + reach)
-            .filter(|&id| id != watcher.avatar)
+            .filter(|&id| Some(id) != watcher.avatar)
             .filter(|&id| {
                 let object = &objects[id.index()];
                 let distance = Radius::distance(eye, object.position.metres(), extent(&self.extents, object));

@@ -102,7 +102,7 @@ pub struct ExactSight {
     depth: Option<DepthBuffer>,
     items: Option<ItemBuffer>,
     /// For a viewer and an object, the triangle whose first corner a ray reached last.
-    seen_last: BTreeMap<(ObjectId, ObjectId), usize>,
+    seen_last: BTreeMap<(Option<ObjectId>, ObjectId), usize>,
 }
 
 /// Pixels a side of the cube for the first question; coarser is quicker and leaves more for the others, which cost more.
@@ -130,7 +130,7 @@ impl ExactSight {
         }
     }
 
-    fn is_seen(&mut self, eye: DVec3, aabb: &Aabb, object: &Object, pair: (ObjectId, ObjectId)) -> bool {
+    fn is_seen(&mut self, eye: DVec3, aabb: &Aabb, object: &Object, pair: (Option<ObjectId>, ObjectId)) -> bool {
         let corners: Vec<[DVec3; 3]> = self.meshes.triangles(object).map(|(corners, _)| corners).collect();
         // Rays to some corners; a mesh has a few dozen triangles. The one that was seen last is likely to be still.
         let stride = (corners.len() / 16).max(1);
@@ -183,11 +183,11 @@ impl ExactSight {
 impl Sight for ExactSight {
     fn begin_tick(&mut self, _: &[Object]) {}
 
-    fn visible_from(&mut self, objects: &[Object], eye: DVec3, own: ObjectId, visible: &mut Vec<ObjectId>) {
+    fn visible_from(&mut self, objects: &[Object], eye: DVec3, own: Option<ObjectId>, visible: &mut Vec<ObjectId>) {
         // A region of radius 0 is what this occlusion is made for.
         let Ok(_) = self.all_round.cull(EyeRegion::point(eye), &mut self.scratch) else { return };
         for (id, object) in crate::world::present(objects) {
-            if id == own {
+            if Some(id) == own {
                 continue;
             }
             let extent = self.classes[usize::from(object.class.0)].extent;

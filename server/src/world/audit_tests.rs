@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use eyeline_protocol::{LinkHeader, Reason, ServerHeader, ServerRecord};
+use eyeline_protocol::{LinkHeader, Reason, Role, ServerHeader, ServerRecord};
 
 use super::tests::{datagram, drain, join, world_of};
 use super::*;

@@ -38,6 +38,9 @@ pub struct WorldConfig {
     /// Most bytes a second to one client in datagrams, QUIC and UDP apart; default `None`. Where it binds, the states that
     /// are largest × oldest go first; violations, bounds and withdrawals are never held back.
     pub bytes_per_second: Option<u32>,
+    /// For how long the avatars of a lost connection wait for their client to come back; default 30 s. More keeps who has
+    /// gone standing about.
+    pub resume_grace: Duration,
     /// Most avatars; default 4096.
     pub avatars_max: usize,
     /// Where avatars start if the world names no place, relative to the anchor.
@@ -57,6 +60,7 @@ impl Default for WorldConfig {
             audit_radius_max: 2.0,
             dead_reckoning_px: None,
             bytes_per_second: None,
+            resume_grace: Duration::from_secs(30),
             avatars_max: 4096,
             default_spawn: DVec3::ZERO,
         }
@@ -102,6 +106,11 @@ impl WorldConfig {
     /// Sets the most bytes a second to one client.
     pub fn with_bytes_per_second(self, bytes_per_second: Option<u32>) -> WorldConfig {
         WorldConfig { bytes_per_second, ..self }
+    }
+
+    /// Sets for how long the avatars of a lost connection wait.
+    pub fn with_resume_grace(self, resume_grace: Duration) -> WorldConfig {
+        WorldConfig { resume_grace, ..self }
     }
 
     /// Sets the most avatars.

@@ -8,31 +8,36 @@
 //! to each object's motion bound; every record that leaves speaks of the newest committed state. Requests are answered
 //! on arrival.
 
+mod admission;
 mod blur;
 mod config;
 mod lens;
 mod object;
+mod people;
 mod session;
 mod stats;
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 use std::time::Duration;
 
 use eyeline_protocol::{
-    CLASSES_MAX, Class, ClassId, ClientControl, ClientId, ClientRecord, Extent, LocalTime, MotionBound, NAME_BYTES_MAX,
-    ObjectId, Orientation, Position, QUANTUM_METRES, Refusal, Role, RosterEntry, ServerControl, VERSION, Want, Welcome,
-    WireTbv, WorldInfo, WorldTime, codec,
+    CLASSES_MAX, Class, ClassId, ClientControl, ClientRecord, Extent, LocalTime, MotionBound, NAME_BYTES_MAX, ObjectId,
+    Orientation, Position, QUANTUM_METRES, Refusal, Want, WireTbv, WorldInfo, WorldTime, codec,
 };
 use glam::DVec3;
 
+use admission::{Announcements, Hello};
 pub use config::{WorldConfig, WorldError};
-use lens::focal;
 pub use object::Object;
 pub(crate) use object::present;
-use session::{Moment, Phase, Session};
+use people::Events;
+pub use people::WorldEvent;
+use session::{Moment, OwnEye, Phase, Session};
 pub use stats::{MessageCounts, WorldStats};
 
 use crate::audit::Audit;
+use crate::gate::{Gate, OpenGate};
 use crate::path::paths_of;
 use crate::policy::Policy;
 use crate::spec::WorldSpec;
@@ -44,8 +49,8 @@ pub struct SessionId(pub u32);
 /// Something to send, or to do to a connection.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Transmit {
-    /// Bytes for the control stream, prefix included.
-    Control(Vec<u8>),
+    /// Bytes for the control stream, prefix included; what all are told is shared.
+    Control(Arc<[u8]>),
     /// An unreliable datagram.
     Datagram(Vec<u8>),
     /// The model's bytes are wanted, on a stream of their own.
@@ -69,10 +74,14 @@ pub struct World {
     classes: Vec<Class>,
     policy: Box<dyn Policy>,
     audit: Option<Box<dyn Audit>>,
+    gate: Box<dyn Gate>,
     /// Index = object id. Ids of avatars that left are free, and used again with a later issue number.
     objects: Vec<Object>,
     free: Vec<ObjectId>,
     spawned: usize,
+    avatars_alive: usize,
+    announcements: Announcements,
+    events: Events,
     sessions: BTreeMap<SessionId, Session>,
     next_session: u32,
     /// Slots of the holders' bit sets, reused.
@@ -131,6 +140,7 @@ impl World {
             object.node = entry.node.clone().unwrap_or_else(|| entry.name.clone());
             object.orientation = Orientation::from_yaw(entry.heading);
             object.path = path;
+            object.takeable = entry.takeable;
             objects.push(object);
         }
         let mut world = World {
@@ -141,9 +151,13 @@ impl World {
             classes,
             policy,
             audit: None,
+            gate: Box::new(OpenGate),
             objects,
             free: Vec::new(),
             spawned: 0,
+            avatars_alive: 0,
+            announcements: Announcements::default(),
+            events: Events::default(),
             sessions: BTreeMap::new(),
             next_session: 1,
             free_slots: Vec::new(),
@@ -166,36 +180,9 @@ impl World {
         self.audit = Some(audit);
     }
 
-    /// A new connection. Until its hello it costs one small entry.
-    pub fn connect(&mut self, now: WorldTime) -> SessionId {
-        let id = SessionId(self.next_session);
-        self.next_session = self.next_session.wrapping_add(1);
-        self.sessions.insert(id, Session::new(now));
-        id
-    }
-
-    /// The connection has gone. Its avatars leave the world.
-    pub fn disconnect(&mut self, id: SessionId) {
-        let Some(session) = self.sessions.remove(&id) else { return };
-        let Phase::Live { slot, .. } = session.phase else { return };
-        self.free_slots.push(slot);
-        for object in &mut self.objects {
-            object.forget_holder(slot);
-        }
-        for &object in &session.avatars {
-            let entry = &mut self.objects[object.index()];
-            entry.present = false;
-            entry.alive = false;
-            entry.wanted = None;
-            self.free.push(object);
-        }
-        for other in self.sessions.values_mut() {
-            for object in &session.avatars {
-                other.forget(*object);
-            }
-        }
-        let left = codec::encode_control(&ServerControl::Left { objects: session.avatars.clone() });
-        self.announce(id, &left, session.avatars.len());
+    /// Asks this gate from now on who may come in. Without one everybody may, as an actor.
+    pub fn set_gate(&mut self, gate: Box<dyn Gate>) {
+        self.gate = gate;
     }
 
     /// The greatest datagram that the path to this client carries, in bytes.
@@ -222,15 +209,20 @@ impl World {
                 self.stats.rejected_control += 1;
                 self.refuse(id, Refusal::Protocol, &format!("control message: {error}"));
             }
-            Ok(ClientControl::Hello { version, role, interest, resolution, .. }) if !live => {
-                if let Some(session) = self.sessions.get_mut(&id) {
-                    (session.interest, session.focal) = (interest, focal(resolution.0));
-                }
-                self.admit(id, version, role, now);
+            Ok(ClientControl::Hello { version, token, resolution, interest, role, name, resume }) if !live => {
+                self.admit(id, Hello { version, token, resolution, interest, role, name, resume }, now);
             }
             Ok(ClientControl::WorldWanted) if live => self.out.push_back((id, Transmit::WorldBytes)),
             Ok(ClientControl::Place { object, position, present }) if live => self.place(id, object, position, present),
+            Ok(ClientControl::Take { object }) if live => self.take(id, object),
+            Ok(ClientControl::LetGo { object }) if live => self.let_go(id, object),
+            Ok(ClientControl::Payload { object, bytes }) if live => self.pass_payload(id, object, bytes),
+            Ok(ClientControl::Command(command)) if live => self.handle_command(id, command),
             Ok(ClientControl::Goodbye) => {
+                // Who leaves on purpose does not come back.
+                if let Some(session) = self.sessions.get_mut(&id) {
+                    session.is_refused = true;
+                }
                 self.out.push_back((id, Transmit::Close("goodbye".into())));
             }
             Ok(_) => {
@@ -258,159 +250,6 @@ impl World {
         for id in ids {
             self.refuse(id, Refusal::ShuttingDown, reason);
         }
-    }
-
-    fn refuse(&mut self, id: SessionId, refusal: Refusal, reason: &str) {
-        if let Some(session) = self.sessions.get_mut(&id) {
-            session.is_refused = true;
-        }
-        let message = ServerControl::Refused { refusal, reason: reason.to_owned() };
-        self.out.push_back((id, Transmit::Control(codec::encode_control(&message))));
-        self.out.push_back((id, Transmit::Close(reason.to_owned())));
-    }
-
-    fn admit(&mut self, id: SessionId, version: u16, role: Role, now: WorldTime) {
-        if version != VERSION {
-            self.stats.refused += 1;
-            let reason = format!("protocol version {version} is not the server's {VERSION}: update the older side");
-            return self.refuse(id, Refusal::Version, &reason);
-        }
-        let wanted = match role {
-            Role::Avatar => 1,
-            Role::Actor { avatars } => usize::from(avatars),
-        };
-        if wanted == 0 {
-            self.stats.refused += 1;
-            return self.refuse(id, Refusal::Protocol, "an actor drives at least one avatar");
-        }
-        let alive = self.avatars();
-        if alive + wanted > self.config.avatars_max {
-            self.stats.refused += 1;
-            let limit = self.config.avatars_max;
-            let reason = format!("{wanted} more avatars are too many: {alive} of {limit} are taken; try again later");
-            return self.refuse(id, Refusal::Full, &reason);
-        }
-        let slot = self.free_slots.pop().unwrap_or_else(|| {
-            self.slots += 1;
-            self.slots - 1
-        });
-        let present = role == Role::Avatar;
-        let avatars: Vec<ObjectId> = (0..wanted).map(|_| self.spawn_avatar(id, present)).collect();
-        // The newcomer learns of everything but its own, everybody else of the newcomer's avatars.
-        let others: Vec<ObjectId> = match role {
-            Role::Avatar => (0..self.objects.len() as u32)
-                .map(ObjectId)
-                .filter(|id| self.objects[id.index()].alive && !avatars.contains(id))
-                .collect(),
-            Role::Actor { .. } => Vec::new(),
-        };
-        let welcome = Welcome {
-            version: VERSION,
-            client: ClientId(id.0),
-            avatars: avatars
-                .iter()
-                .map(|&avatar| {
-                    let object = &self.objects[avatar.index()];
-                    (avatar, object.position, object.orientation)
-                })
-                .collect(),
-            anchor: self.anchor.to_array(),
-            tick_micros: self.config.tick.as_micros() as u32,
-            policy: self.policy.name().to_owned(),
-            tracking: self.policy.tracking(),
-            blur: self.config.blur,
-            dead_reckoning_px: self.config.dead_reckoning_px,
-            world: self.info.clone(),
-            classes: self.classes.clone(),
-            objects: others.len() as u32,
-        };
-        self.say(id, &ServerControl::Welcome(Box::new(welcome)));
-        for piece in others.chunks(ServerControl::ROSTER_MAX) {
-            let message = self.roster(piece, &[slot]);
-            self.stats.out.roster += piece.len() as u64;
-            self.say(id, &message);
-        }
-        let watching: Vec<usize> = self
-            .sessions
-            .values()
-            .filter_map(|session| match session.phase {
-                Phase::Live { slot, watches: true } => Some(slot),
-                _ => None,
-            })
-            .collect();
-        for piece in avatars.chunks(ServerControl::ROSTER_MAX) {
-            let message = codec::encode_control(&self.roster(piece, &watching));
-            self.announce(id, &message, piece.len());
-        }
-        if let Some(session) = self.sessions.get_mut(&id) {
-            session.phase = Phase::Live { slot, watches: role == Role::Avatar };
-            session.avatars = avatars;
-            session.heard_at = now;
-        }
-        self.stats.admitted += 1;
-    }
-
-    fn say(&mut self, id: SessionId, message: &ServerControl) {
-        self.out.push_back((id, Transmit::Control(codec::encode_control(message))));
-    }
-
-    /// Sends a control message about `objects` objects to every other watching client.
-    fn announce(&mut self, except: SessionId, message: &[u8], objects: usize) {
-        for (&id, session) in &self.sessions {
-            if id != except && matches!(session.phase, Phase::Live { watches: true, .. }) {
-                self.out.push_back((id, Transmit::Control(message.to_vec())));
-                self.stats.out.roster += objects as u64;
-            }
-        }
-    }
-
-    /// Entries for these objects, for the clients in `slots`; with bounds, if the policy lets clients track.
-    fn roster(&mut self, ids: &[ObjectId], slots: &[usize]) -> ServerControl {
-        let mut entries = Vec::with_capacity(ids.len());
-        for &id in ids {
-            let is_told = self.policy.tracking() && self.objects[id.index()].present;
-            let bound = if is_told { self.wire_bound(id) } else { None };
-            if bound.is_some() {
-                for &slot in slots {
-                    self.objects[id.index()].note_holder(slot);
-                }
-            }
-            let object = &self.objects[id.index()];
-            entries.push(RosterEntry {
-                object: id,
-                class: object.class,
-                name: object.name.clone(),
-                node: object.node.clone(),
-                bound,
-                issue: object.issue,
-                present: object.present,
-            });
-        }
-        ServerControl::Roster { tick: self.tick, entries }
-    }
-
-    fn spawn_avatar(&mut self, owner: SessionId, present: bool) -> ObjectId {
-        let spawns = &self.spec.spawns;
-        let (feet, heading) = match spawns.get(self.spawned % spawns.len().max(1)) {
-            Some(spawn) => (DVec3::from_array(spawn.position), spawn.heading),
-            None => (self.anchor + self.config.default_spawn, 0.0),
-        };
-        self.spawned += 1;
-        // The specification's spawns were checked when the world was made.
-        let position = Position::from_metres(feet - self.anchor).unwrap_or_default();
-        let id = self.free.pop().unwrap_or_else(|| {
-            self.objects.push(Object::new(String::new(), AVATAR_CLASS, position, self.tick));
-            ObjectId(self.objects.len() as u32 - 1)
-        });
-        let tick = self.tick;
-        let object = &mut self.objects[id.index()];
-        let issue = eyeline_protocol::Issue(object.issue.0 + 1);
-        *object = Object::new(format!("avatar {}", id.0), AVATAR_CLASS, position, tick);
-        object.orientation = Orientation::from_yaw(heading);
-        object.issue = issue;
-        object.owner = Some(owner);
-        object.present = present;
-        id
     }
 
     /// One datagram of a client. Requests in it are answered at once.
@@ -476,6 +315,11 @@ impl World {
                     if want_bound {
                         answer = true;
                         session.bounds_due.insert(object);
+                    }
+                }
+                ClientRecord::Eye { position, orientation } => {
+                    if seq >= session.own_eye.map_or(0, |eye| eye.seq) {
+                        session.own_eye = Some(OwnEye { position, yaw: orientation.yaw(), seq });
                     }
                 }
                 ClientRecord::ViolationAck { object, issue } => {
@@ -551,13 +395,15 @@ impl World {
                 self.spread_violation(ObjectId(index as u32), outcome.entered_or_left);
             }
         }
+        self.end_graces();
+        self.announce();
         if let Some(audit) = &mut self.audit {
             audit.begin_tick(&self.objects);
         }
         self.retell();
         let quiet = self.config.lease;
         for (&id, session) in &mut self.sessions {
-            let Phase::Live { .. } = session.phase else { continue };
+            let (Phase::Live { .. }, None) = (&session.phase, session.away_since) else { continue };
             // A client that has not been heard of for a lease gets nothing until it is.
             if now.since(session.heard_at) <= quiet {
                 if let Some(bytes_per_second) = self.config.bytes_per_second {
@@ -700,7 +546,7 @@ impl World {
 
     /// Number of avatars in the world, or waiting to enter it.
     pub fn avatars(&self) -> usize {
-        self.objects.iter().filter(|object| object.alive && object.owner.is_some()).count()
+        self.avatars_alive
     }
 }
 
@@ -732,7 +578,8 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
         }
         classes.push(Class {
             name: class.name.clone(),
-            // Paths are followed exactly; both ends of a step are snapped to the grid.
+            // Paths are followed exactly; both ends of a step are snapped to the grid. What people move has no room for the
+            // jitter of their poses, and comes after them instead.
             motion: MotionBound { speed_max: class.speed_max, slack: 2.0 * QUANTUM_METRES },
             extent: Extent { radius: class.radius, bottom: class.bottom, top: class.top },
             eye_height: 0.0,
@@ -780,7 +627,7 @@ mod push_tests;
 #[cfg(test)]
 mod tests {
     use eyeline_protocol::codec::{DatagramWriter, encode_control};
-    use eyeline_protocol::{ClientHeader, Interest, LinkHeader, Reason};
+    use eyeline_protocol::{ClientHeader, Interest, LinkHeader, Reason, Role, VERSION};
     use glam::DQuat;
 
     use super::*;
@@ -805,6 +652,7 @@ mod tests {
             interest: Interest::Around,
             role,
             name: String::new(),
+            resume: None,
         };
         world.handle_control(id, &encode_control(&hello)[4..], WorldTime::ZERO);
         id

@@ -36,6 +36,10 @@ pub struct Object {
     /// Who moves it; nobody but its path if `None`.
     pub(super) owner: Option<SessionId>,
     pub(super) path: Option<Path>,
+    /// Whether people may move it.
+    pub(super) takeable: bool,
+    /// Whether somebody has just taken it: what was said of how it moves holds no longer.
+    pub(super) is_freed: bool,
     /// The newest pose that its owner asked for, and that datagram's number.
     pub(super) wanted: Option<(Position, Orientation)>,
     pub(super) wanted_seq: u32,
@@ -83,6 +87,8 @@ impl Object {
             alive: true,
             owner: None,
             path: None,
+            takeable: false,
+            is_freed: false,
             wanted: None,
             wanted_seq: 0,
             placed: None,
@@ -140,6 +146,14 @@ impl Object {
                 self.changed_at = tick;
                 self.allowance = motion.slack;
             }
+            return outcome;
+        }
+        if std::mem::take(&mut self.is_freed) {
+            outcome.violated = true;
+            self.path = None;
+            self.issue = Issue(self.issue.0 + 1);
+            self.changed_at = tick;
+            self.allowance = motion.slack;
             return outcome;
         }
         let wanted = match &self.path {

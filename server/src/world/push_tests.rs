@@ -1,6 +1,6 @@
 //! What is pushed when: dead reckoning, the byte cap, and how fast a turn is believed.
 
-use eyeline_protocol::{ClientHeader, LinkHeader, Prediction, ServerHeader, ServerRecord};
+use eyeline_protocol::{ClientHeader, LinkHeader, Prediction, Role, ServerHeader, ServerRecord};
 
 use super::audit_tests::told;
 use super::tests::{datagram, drain, join};

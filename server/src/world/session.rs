@@ -8,14 +8,16 @@ use std::time::Duration;
 
 use eyeline_protocol::codec::DatagramWriter;
 use eyeline_protocol::{
-    Arrival, Class, Interest, Issue, Link, LinkHeader, LocalTime, ObjectId, Prediction, ServerHeader, ServerRecord,
-    Velocity, WireTbv, WorldTime,
+    Arrival, Class, ClientId, EYE_REACH, Interest, Issue, Link, LinkHeader, LocalTime, ObjectId, Position, Prediction,
+    Rank, Role, ServerHeader, ServerRecord, Velocity, WireTbv, WorldTime,
 };
 use glam::DVec3;
 
+use super::admission::RosterMark;
 use super::blur::Known;
 use super::lens::Lens;
 use super::{AVATAR_CLASS, Object, SessionId, WorldStats};
+use crate::gate::{Caller, Permit};
 use crate::policy::Watcher;
 
 /// How far a connection has got.
@@ -29,6 +31,26 @@ pub(super) enum Phase {
         /// Whether it looks at the world.
         watches: bool,
     },
+}
+
+impl Phase {
+    /// Its bit in the holders' sets, once it is admitted.
+    pub fn slot(&self) -> Option<usize> {
+        match *self {
+            Phase::Greeting => None,
+            Phase::Live { slot, .. } => Some(slot),
+        }
+    }
+}
+
+/// Where a client says that its own eye is.
+#[derive(Clone, Copy)]
+pub(super) struct OwnEye {
+    pub position: Position,
+    /// Turn about +Y, radians.
+    pub yaw: f64,
+    /// Number of the datagram that said it.
+    pub seq: u32,
 }
 
 /// What a client is told about one object.
@@ -98,6 +120,20 @@ type Carried = Vec<(ObjectId, WorldTime)>;
 
 pub(super) struct Session {
     pub phase: Phase,
+    /// Its number for people, which it keeps when it comes back.
+    pub client: ClientId,
+    pub caller: Caller,
+    pub permit: Permit,
+    pub role: Role,
+    /// What it calls itself.
+    pub name: String,
+    pub came_at: WorldTime,
+    /// Since when its connection has been lost, if it is.
+    pub away_since: Option<WorldTime>,
+    pub roster: RosterMark,
+    /// Things of the world that it moves.
+    pub things: Vec<ObjectId>,
+    pub own_eye: Option<OwnEye>,
     /// Whether it was told to go: what it says on the control stream from then on counts for nothing.
     pub is_refused: bool,
     pub avatars: Vec<ObjectId>,
@@ -131,9 +167,19 @@ const DATAGRAM_LIMIT_DEFAULT: usize = 1150;
 const HOLD_MAX: Duration = Duration::from_millis(500);
 
 impl Session {
-    pub fn new(now: WorldTime) -> Session {
+    pub fn new(client: ClientId, caller: Caller, now: WorldTime) -> Session {
         Session {
             phase: Phase::Greeting,
+            client,
+            caller,
+            permit: Permit { rank: Rank::Viewer, avatars_max: 0, subject: String::new() },
+            role: Role::Viewer,
+            name: String::new(),
+            came_at: now,
+            away_since: None,
+            roster: RosterMark::default(),
+            things: Vec::new(),
+            own_eye: None,
             is_refused: false,
             avatars: Vec::new(),
             interest: Interest::Around,
@@ -152,6 +198,49 @@ impl Session {
             states_due: BTreeSet::new(),
             hidden_due: BTreeSet::new(),
         }
+    }
+
+    /// Whether it may come back after its connection was lost.
+    pub fn may_return(&self, grace: Duration) -> bool {
+        grace > Duration::ZERO && self.caller.resume != [0; 16]
+    }
+
+    /// Goes on over the connection of `fresh`. What was under way on the old one is lost, so what may have been is due again.
+    pub fn take_over(&mut self, fresh: Session, now: WorldTime, tracking: bool) {
+        self.caller = fresh.caller;
+        (self.interest, self.focal) = (fresh.interest, fresh.focal);
+        self.datagram_limit = fresh.datagram_limit;
+        self.away_since = None;
+        self.heard_at = now;
+        self.owes_ack = true;
+        self.own_eye = None;
+        (self.link, self.hold_max) = (Link::default(), Duration::ZERO);
+        for (&object, subscription) in &mut self.subscriptions {
+            *subscription = Subscription::new(subscription.active, 0);
+            if subscription.active {
+                self.states_due.insert(object);
+            } else if !tracking {
+                self.hidden_due.insert(object);
+            }
+        }
+        for violation in self.violations.values_mut() {
+            violation.sent_at = None;
+        }
+    }
+
+    /// The client holds nothing any more of what it was told. What it may have learnt stays known.
+    pub fn forget_all(&mut self) {
+        self.subscriptions.clear();
+        self.bounds_due.clear();
+        self.states_due.clear();
+        self.hidden_due.clear();
+        self.violations.clear();
+        self.held_back.clear();
+    }
+
+    /// Round-trip time, smoothed.
+    pub fn round_trip(&self) -> Option<Duration> {
+        Some(self.link.round_trip()?.smoothed)
     }
 
     /// Takes a datagram's delivery header; says whether its records are news.
@@ -204,13 +293,21 @@ impl Session {
         self.states_due.retain(|id| objects[id.index()].alive);
     }
 
-    /// Its view of the world, if it looks at it.
+    /// Its view of the world, if it looks at it. An actor's eye is its avatar's, or its own if that is near; who has no
+    /// avatar, or may fly, looks from where it says.
     pub fn watcher(&self, session: SessionId, objects: &[Object], avatar_class: &Class) -> Option<Watcher> {
         let Phase::Live { watches: true, .. } = self.phase else { return None };
-        let &avatar = self.avatars.first()?;
-        let object = &objects[avatar.index()];
-        let eye = object.position.metres() + DVec3::Y * avatar_class.eye_height;
-        Some(Watcher { session, avatar, eye, yaw: object.orientation.yaw(), interest: self.interest })
+        let avatar = self.avatars.first().copied();
+        let body = avatar.map(|avatar| {
+            let object = &objects[avatar.index()];
+            (object.position.metres() + DVec3::Y * avatar_class.eye_height, object.orientation.yaw())
+        });
+        let own = self.own_eye.map(|eye| (eye.position.metres(), eye.yaw)).filter(|(eye, _)| match body {
+            Some((body, _)) if self.permit.rank < Rank::Operator => eye.distance(body) <= EYE_REACH,
+            _ => true,
+        });
+        let (eye, yaw) = own.or(body)?;
+        Some(Watcher { session, avatar, eye, yaw, interest: self.interest })
     }
 
     /// How large things are to it, if it looks at them.

@@ -51,6 +51,8 @@ impl MessageCounts {
             }
             ClientRecord::Release { .. } => self.releases += 1,
             ClientRecord::ViolationAck { .. } => self.violation_acks += 1,
+            // Where one's own eye is is a pose, as what it costs goes.
+            ClientRecord::Eye { .. } => self.poses += 1,
         }
     }
 
@@ -139,6 +141,10 @@ pub struct WorldStats {
     pub admitted: u64,
     /// Clients refused.
     pub refused: u64,
+    /// Clients that came back.
+    pub resumed: u64,
+    /// Payloads of the application passed on to clients.
+    pub payloads: u64,
     /// Control messages that made no sense; each closed its connection.
     pub rejected_control: u64,
     /// Datagrams that made no sense, or came before hello.

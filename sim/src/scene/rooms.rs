@@ -246,6 +246,7 @@ fn chairs(plan: &RoomPlan) -> Vec<ObjectSpec> {
                 position: start,
                 // It looks along (−sin h, −cos h), which is toward the table.
                 heading: side.x.atan2(side.y),
+                takeable: true,
                 path: (order < moving).then_some(path),
             });
         }

@@ -212,7 +212,7 @@ impl Heard {
             let (object, want) = match record {
                 ClientRecord::Request { object, want, .. } => (object, Some(want)),
                 ClientRecord::Release { object, .. } => (object, None),
-                ClientRecord::Pose { .. } | ClientRecord::ViolationAck { .. } => continue,
+                ClientRecord::Pose { .. } | ClientRecord::Eye { .. } | ClientRecord::ViolationAck { .. } => continue,
             };
             let said = &mut client.knows.entry(object).or_default().said;
             said.push_back(Said { at: message.at, seq: header.link.seq, want });

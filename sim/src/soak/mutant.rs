@@ -218,7 +218,7 @@ impl Liar {
                 ClientRecord::Release { object, .. } => {
                     victim.released.insert(object);
                 }
-                ClientRecord::Pose { .. } | ClientRecord::ViolationAck { .. } => {}
+                ClientRecord::Pose { .. } | ClientRecord::Eye { .. } | ClientRecord::ViolationAck { .. } => {}
             }
         }
         match self.mutant {

@@ -278,6 +278,7 @@ fn spec(walls: &Walls, chance: &mut Pcg64, carts: usize) -> WorldSpec {
                 node: None,
                 position,
                 heading: 0.0,
+                takeable: false,
                 path: Some(path),
             }
         })

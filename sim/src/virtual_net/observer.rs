@@ -31,7 +31,7 @@ impl Passing<'_> {
             Direction::Up => {
                 let records = codec::decode_client_datagram(self.bytes).map_or(Vec::new(), |(_, records)| records);
                 let object = |record: ClientRecord| match record {
-                    ClientRecord::Pose { .. } => None,
+                    ClientRecord::Pose { .. } | ClientRecord::Eye { .. } => None,
                     ClientRecord::Request { object, .. }
                     | ClientRecord::Release { object, .. }
                     | ClientRecord::ViolationAck { object, .. } => Some(object),

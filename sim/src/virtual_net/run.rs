@@ -286,7 +286,7 @@ impl VirtualRun {
         }
         let mut is_over = false;
         while let Some(event) = client.session.poll_event() {
-            is_over |= !matches!(event, SessionEvent::Welcomed(_));
+            is_over |= matches!(event, SessionEvent::Refused { .. } | SessionEvent::ServerFault(_));
             client.events.push(event);
         }
         // As the QUIC shell does: questions that an answer raised leave at once, the rest with the next frame.

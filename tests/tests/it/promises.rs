@@ -169,6 +169,7 @@ fn another_version_is_refused_with_the_reason_and_the_others_notice_nothing() {
         interest: Interest::Around,
         role: Role::Avatar,
         name: String::new(),
+        resume: None,
     };
     let id = pair.run.with_world(&mut Ignore, |world, now| {
         let id = world.connect(now);
