@@ -14,7 +14,7 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
-use eyeline_sim::load::feed::{Feed, FeedRules, Prepared, Replayed, world};
+use eyeline_sim::load::feed::{Feed, FeedRules, Played, Prepared, Replayed, world};
 use eyeline_sim::load::ways::WayRules;
 use eyeline_sim::scene::plan::RoomsRules;
 use eyeline_sim::stage::Stage;
@@ -23,10 +23,15 @@ fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match arguments[..] {
-        ["record", file] => record(file, 1000),
-        ["record", file, clients] => record(file, clients.parse().context("how many clients?")?),
+        ["record", file] => record(file, 1000, 0),
+        ["record", file, clients] => record(file, clients.parse().context("how many clients?")?, 0),
+        ["record", file, clients, culling] => record(
+            file,
+            clients.parse().context("how many clients?")?,
+            culling.parse().context("how many that cull?")?,
+        ),
         ["replay", file] => replay(file),
-        _ => bail!("usage: world_cost record FILE [CLIENTS] | replay FILE"),
+        _ => bail!("usage: world_cost record FILE [CLIENTS [CULLING]] | replay FILE"),
     }
 }
 
@@ -34,11 +39,16 @@ fn stage() -> anyhow::Result<Stage> {
     Stage::made(&RoomsRules { columns: 16, rows: 16, ..RoomsRules::default() })
 }
 
-fn record(file: &str, clients: u32) -> anyhow::Result<()> {
+fn record(file: &str, clients: u32, culling: u32) -> anyhow::Result<()> {
     let ways = WayRules { ways: 64, frames: 400, period: Duration::from_millis(50), side: 64, seed: 7 };
-    let rules = FeedRules { clients, joins_a_tick: 20, settle_ticks: 60, ticks: 40, ways };
-    let feed = Feed::record(&stage()?, &rules)?;
+    let rules = FeedRules { clients, culling, joins_a_tick: 20, settle_ticks: 60, ticks: 40, ways };
+    let (feed, played) = Feed::record(&stage()?, &rules)?;
     std::fs::write(file, feed.to_bytes()).with_context(|| format!("cannot write {file}"))?;
+    for (how, of) in ["cull", "replay"].iter().zip(<[_; 2]>::from(played.split_at(culling as usize))) {
+        let mean = |value: fn(&Played) -> u64| of.iter().map(value).sum::<u64>() as f64 / of.len().max(1) as f64;
+        let (visible, told, said) = (mean(|c| c.visible as u64), mean(|c| c.records_in), mean(|c| c.records_out));
+        println!("{} {how}: {visible:.1} visible at the end, {told:.0} records told, {said:.0} said", of.len());
+    }
     println!("{clients} clients, 60 ticks after the last has joined: 40 ticks to be measured in {file}");
     Ok(())
 }

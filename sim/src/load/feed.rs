@@ -20,6 +20,7 @@ use eyeline_server::world::{SessionId, Transmit, World, WorldConfig};
 use eyeline_visibility::DynamicOctree;
 
 use super::ways::{Replayer, WayRules, Ways};
+use crate::people::Person;
 use crate::stage::Stage;
 
 /// Time under way, each way: loopback's order of magnitude.
@@ -60,6 +61,8 @@ pub struct Feed {
 pub struct FeedRules {
     /// How many clients, each with an avatar.
     pub clients: u32,
+    /// How many of them cull for themselves.
+    pub culling: u32,
     /// Clients that join in a tick.
     pub joins_a_tick: u32,
     /// Ticks between the last join and the measurement.
@@ -68,6 +71,17 @@ pub struct FeedRules {
     pub ticks: u32,
     /// The ways that they walk.
     pub ways: WayRules,
+}
+
+/// What became of a client of a recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Played {
+    /// Objects in V at the end.
+    pub visible: usize,
+    /// Records that it was told, from the beginning.
+    pub records_in: u64,
+    /// Records that it said, poses included.
+    pub records_out: u64,
 }
 
 /// What came out of a replay.
@@ -88,7 +102,7 @@ pub struct Replayed {
 /// One client of a recording.
 struct Player {
     session: Session,
-    driver: Replayer,
+    driver: Box<dyn Driver>,
     reader: ControlReader,
     /// When its newest datagram arrived, or its newest frame was: its own time goes forward only.
     now: LocalTime,
@@ -118,7 +132,7 @@ impl Feed {
     ///
     /// # Errors
     /// If the stage makes no world, or has no rooms to walk in.
-    pub fn record(stage: &Stage, rules: &FeedRules) -> anyhow::Result<Feed> {
+    pub fn record(stage: &Stage, rules: &FeedRules) -> anyhow::Result<(Feed, Vec<Played>)> {
         let bounds = stage.model.scene.bounds();
         let ways = Arc::new(Ways::record(&stage.ground(), bounds, &rules.ways)?);
         let mut recorder = Recorder {
@@ -144,7 +158,11 @@ impl Feed {
                 let tracker = TrackerConfig::default().with_frame(period);
                 let config = SessionConfig::default().with_tracker(tracker);
                 let session = Session::new(config, Box::new(move || Box::new(DynamicOctree::new(bounds))));
-                let driver = Replayer::new(ways.clone(), index, rules.clients as usize, None);
+                let driver: Box<dyn Driver> = if joined < rules.culling {
+                    Box::new(Person::on(&stage.ground(), rules.ways.seed, index, rules.ways.side, None))
+                } else {
+                    Box::new(Replayer::new(ways.clone(), index, rules.clients as usize, None))
+                };
                 recorder.join(session, driver, at);
                 joined += 1;
             }
@@ -152,7 +170,13 @@ impl Feed {
                 recorder.frame(player, at + period.mul_f64(player as f64 / f64::from(rules.clients)));
             }
         }
-        Ok(Feed { clients: rules.clients, said: recorder.said, settled })
+        let played = recorder.players.iter().map(|player| Played {
+            visible: player.session.tracker().map_or(0, |tracker| tracker.counts().0),
+            records_in: player.session.stats().records_in,
+            records_out: player.session.stats().records_out,
+        });
+        let played = played.collect();
+        Ok((Feed { clients: rules.clients, said: recorder.said, settled }, played))
     }
 
     /// How many clients it is of.
@@ -285,7 +309,7 @@ impl Recorder {
         self.said.push(Said { who: who as u32, at, input });
     }
 
-    fn join(&mut self, session: Session, driver: Replayer, at: WorldTime) {
+    fn join(&mut self, session: Session, driver: Box<dyn Driver>, at: WorldTime) {
         let who = self.players.len();
         self.say(who, at, Input::Connect);
         self.by_id.insert(self.ids[who], who);
@@ -366,6 +390,7 @@ mod tests {
 
     const RULES: FeedRules = FeedRules {
         clients: 6,
+        culling: 1,
         joins_a_tick: 2,
         settle_ticks: 4,
         ticks: 10,
@@ -375,7 +400,8 @@ mod tests {
     #[test]
     fn a_replay_is_what_the_recording_was() {
         let stage = Stage::made(&RoomsRules { columns: 3, rows: 2, ..RoomsRules::default() }).unwrap();
-        let feed = Feed::record(&stage, &RULES).unwrap();
+        let (feed, played) = Feed::record(&stage, &RULES).unwrap();
+        assert!(played.iter().all(|client| client.visible > 0), "{played:?}");
         let mut prepared = feed.prepare(world(&stage).unwrap());
         let replayed = prepared.replay();
         assert_eq!(replayed.ticks, u64::from(RULES.ticks));
@@ -385,7 +411,7 @@ mod tests {
         let stats = prepared.world().stats();
         assert_eq!([stats.rejected_datagrams, stats.rejected_control, stats.forbidden], [0; 3], "{stats:?}");
         assert_eq!(prepared.world().avatars(), RULES.clients as usize);
-        let again = Feed::record(&stage, &RULES).unwrap();
+        let (again, _) = Feed::record(&stage, &RULES).unwrap();
         assert!(again == feed, "recording is deterministic");
     }
 

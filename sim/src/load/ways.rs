@@ -24,11 +24,12 @@ use crate::motion::WalkerPose;
 use crate::people::{FrameHook, Ground, Mover};
 use crate::scene::plan::RoomPlan;
 
-/// Side of a column, metres: as wide as a door, since what is seen through one is seldom narrower.
-const COLUMN: f64 = 1.0;
+/// Side of a column, metres: half of an avatar. With columns of 1 m clients asked and were told more than twice as much as those who
+/// cull.
+const COLUMN: f64 = 0.25;
 
 /// Most columns along a side; a larger world has wider ones.
-const COLUMNS_MAX: f64 = 512.0;
+const COLUMNS_MAX: f64 = 1024.0;
 
 /// How far columns reach beyond the scene, to the sides and up and down, metres: bounds grow through walls and floors, where they
 /// are as hidden as behind them.
@@ -46,8 +47,50 @@ struct Columns {
     width: usize,
     /// Columns along z.
     depth: usize,
+}
+
+/// Which columns were in sight: a bit for each in the least rectangle around all that were.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Exposed {
+    /// First column of the rectangle along x and z.
+    first: (usize, usize),
+    /// Rows of the rectangle along z.
+    rows: usize,
     /// Words of bits of a row along x.
     words: usize,
+    bits: Box<[u64]>,
+}
+
+impl Exposed {
+    fn of(columns: &[(usize, usize)]) -> Exposed {
+        let least = |axis: fn(&(usize, usize)) -> usize| columns.iter().map(axis).min().unwrap_or(0);
+        let most = |axis: fn(&(usize, usize)) -> usize| columns.iter().map(axis).max().map_or(0, |most| most + 1);
+        let first = (least(|c| c.0), least(|c| c.1));
+        let rows = most(|c| c.1) - first.1;
+        let words = (most(|c| c.0) - first.0).div_ceil(64);
+        let mut bits = vec![0; words * rows].into_boxed_slice();
+        for &(x, z) in columns {
+            bits[(z - first.1) * words + (x - first.0) / 64] |= 1 << ((x - first.0) % 64);
+        }
+        Exposed { first, rows, words, bits }
+    }
+
+    /// Whether any column of the ranges (ends included) was in sight.
+    fn any(&self, x: (usize, usize), z: (usize, usize)) -> bool {
+        if x.1 < self.first.0 || z.1 < self.first.1 || z.0 >= self.first.1 + self.rows {
+            return false;
+        }
+        let (left, right) = (x.0.saturating_sub(self.first.0), x.1 - self.first.0);
+        let (near, far) = (z.0.saturating_sub(self.first.1), (z.1 - self.first.1).min(self.rows - 1));
+        let mut rows = self.bits[near * self.words..(far + 1) * self.words].chunks_exact(self.words);
+        rows.any(|row| {
+            (left / 64..=(right / 64).min(self.words - 1)).any(|word| {
+                let low = if word == left / 64 { left % 64 } else { 0 };
+                let high = if word == right / 64 { right % 64 } else { 63 };
+                row[word] & (u64::MAX << low) & (u64::MAX >> (63 - high)) != 0
+            })
+        })
+    }
 }
 
 impl Columns {
@@ -57,7 +100,7 @@ impl Columns {
         let side = COLUMN.max(size.x.max(size.z) / COLUMNS_MAX);
         let count = |length: f64| (length / side).ceil().max(1.0) as usize;
         let (width, depth) = (count(size.x), count(size.z));
-        Columns { bounds, side, width, depth, words: width.div_ceil(64) }
+        Columns { bounds, side, width, depth }
     }
 
     /// The box around columns `x` and `z` (half-open ranges).
@@ -68,9 +111,9 @@ impl Columns {
         Aabb::new(DVec3::new(low.x, min.y, low.y), DVec3::new(high.x, max.y, high.y))
     }
 
-    /// One bit for each column: whether `occlusion` does not hide it whole.
-    fn exposed(&self, occlusion: &dyn Occlusion) -> Box<[u64]> {
-        let mut bits = vec![0; self.words * self.depth].into_boxed_slice();
+    /// Which columns `occlusion` does not hide whole.
+    fn exposed(&self, occlusion: &dyn Occlusion) -> Exposed {
+        let mut exposed = Vec::new();
         // Most of a building is out of sight, so halves are asked about first, then their halves.
         let mut open = vec![((0, self.width), (0, self.depth))];
         while let Some((x, z)) = open.pop() {
@@ -78,7 +121,7 @@ impl Columns {
                 continue;
             }
             match (x.1 - x.0, z.1 - z.0) {
-                (1, 1) => bits[z.0 * self.words + x.0 / 64] |= 1 << (x.0 % 64),
+                (1, 1) => exposed.push((x.0, z.0)),
                 (width, depth) if width >= depth => {
                     let middle = x.0 + width / 2;
                     open.extend([((x.0, middle), z), ((middle, x.1), z)]);
@@ -89,32 +132,26 @@ impl Columns {
                 }
             }
         }
-        bits
+        Exposed::of(&exposed)
     }
 
     /// Whether all that `bound` touches was hidden in `exposed`. What reaches beyond all columns is not.
-    fn hides(&self, exposed: &[u64], bound: &Bound) -> bool {
+    fn hides(&self, exposed: &Exposed, bound: &Bound) -> bool {
         let Some(aabb) = bound.outer_box().filter(|aabb| self.bounds.contains_box(aabb)) else { return false };
-        let from = (aabb.min - self.bounds.min) / self.side;
-        let to = (aabb.max - self.bounds.min) / self.side;
         // A hair wider, so that rounding leaves out no column that is touched.
+        let from = (aabb.min - self.bounds.min) / self.side - 1e-9;
+        let to = (aabb.max - self.bounds.min) / self.side + 1e-9;
         let column = |at: f64, count: usize| (at.max(0.0) as usize).min(count - 1);
-        let (left, right) = (column(from.x - 1e-9, self.width), column(to.x + 1e-9, self.width));
-        let (near, far) = (column(from.z - 1e-9, self.depth), column(to.z + 1e-9, self.depth));
-        exposed[near * self.words..(far + 1) * self.words].chunks_exact(self.words).all(|row| {
-            (left / 64..=right / 64).all(|word| {
-                let low = if word == left / 64 { left % 64 } else { 0 };
-                let high = if word == right / 64 { right % 64 } else { 63 };
-                row[word] & (u64::MAX << low) & (u64::MAX >> (63 - high)) == 0
-            })
-        })
+        let x = (column(from.x, self.width), column(to.x, self.width));
+        let z = (column(from.z, self.depth), column(to.z, self.depth));
+        !exposed.any(x, z)
     }
 }
 
 /// One recorded frame: where somebody was, and which columns were in sight.
 struct Seen {
     pose: WalkerPose,
-    exposed: Box<[u64]>,
+    exposed: Exposed,
 }
 
 /// Recorded ways, shared by all who replay them.
@@ -170,7 +207,7 @@ impl Ways {
 
     /// Bytes of the record.
     pub fn bytes(&self) -> usize {
-        self.ways.iter().flatten().map(|seen| size_of::<Seen>() + 8 * seen.exposed.len()).sum()
+        self.ways.iter().flatten().map(|seen| size_of::<Seen>() + 8 * seen.exposed.bits.len()).sum()
     }
 }
 
@@ -305,7 +342,7 @@ mod tests {
     #[test]
     fn what_reaches_beyond_all_columns_is_never_hidden() {
         let (_, ways) = ways();
-        let nothing = vec![0; ways.columns.words * ways.columns.depth];
+        let nothing = Exposed::default();
         let middle = ways.columns.bounds.centre();
         assert!(ways.columns.hides(&nothing, &Bound::Sphere { centre: middle, radius: 0.5 }));
         for bad in [
@@ -328,6 +365,21 @@ mod tests {
                 assert!(at(passed).distance(at(passed + 1)) <= most);
             }
         }
+    }
+
+    #[test]
+    fn a_rectangle_of_columns_knows_each_of_them() {
+        let columns = [(70, 3), (71, 3), (200, 5), (135, 4)];
+        let exposed = Exposed::of(&columns);
+        for x in 60..210 {
+            for z in 0..8 {
+                assert_eq!(exposed.any((x, x), (z, z)), columns.contains(&(x, z)), "{x} {z}");
+            }
+        }
+        for (x, z, any) in [((0, 69), (0, 9), false), ((0, 70), (0, 3), true), ((72, 300), (3, 3), false)] {
+            assert_eq!(exposed.any(x, z), any, "{x:?} {z:?}");
+        }
+        assert!(exposed.any((0, 500), (0, 500)) && !Exposed::of(&[]).any((0, 500), (0, 500)));
     }
 
     #[test]
