@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
+use eyeline_protocol::TOKEN_BYTES_MAX;
 use eyeline_visibility::{Aabb, DynamicOctree};
 
-use crate::net::{Endpoint, Fingerprint, LocalClock, ModelSource, Onlooker, run_headless};
+use crate::net::{Endpoint, Fingerprint, LocalClock, ModelSource, Onlooker, run_resuming};
 use crate::session::{Session, SessionConfig, SessionStats};
 use crate::tracking::TrackerConfig;
 
@@ -20,6 +21,9 @@ pub enum Command {
     /// Join a world without a window: stand, turn, track, and print a line a second
     #[command(after_long_help = HEADLESS_EXAMPLES)]
     Headless(Headless),
+    /// Keep order on a server: see who is there, send somebody away, tell everybody something
+    #[command(after_long_help = crate::operate::EXAMPLES)]
+    Operate(crate::operate::Operate),
 }
 
 /// Which server.
@@ -36,6 +40,11 @@ pub struct Target {
     /// Instead of both, the file that the server wrote with --ready-file; waited for up to 30 s
     #[arg(long, value_name = "FILE", conflicts_with = "connect")]
     pub server_file: Option<PathBuf>,
+
+    /// What the server is to let us in by: the file that holds the token, or the token itself [default: EYELINE_TOKEN, else
+    /// none]
+    #[arg(long, value_name = "FILE|TOKEN")]
+    token: Option<String>,
 }
 
 /// How long a server's file is waited for, and how often it is looked for.
@@ -61,6 +70,37 @@ impl Target {
             }
             _ => anyhow::bail!("which server? give --connect and --fingerprint, or --server-file"),
         }
+    }
+}
+
+impl Target {
+    /// A socket for connections to the server, and its address.
+    ///
+    /// # Errors
+    /// As [`Target::resolve`], or if there is no socket to be had. Needs a tokio runtime around it.
+    pub fn endpoint(&self) -> anyhow::Result<(Endpoint, SocketAddr)> {
+        let (address, fingerprint) = self.resolve()?;
+        Ok((Endpoint::new(fingerprint, address)?, address))
+    }
+
+    /// The token's bytes; none if there is no token.
+    ///
+    /// # Errors
+    /// If its file can't be read, or it is no token by its size.
+    pub fn token(&self) -> anyhow::Result<Vec<u8>> {
+        let Some(given) = self.token.clone().or_else(|| std::env::var("EYELINE_TOKEN").ok()) else {
+            return Ok(Vec::new());
+        };
+        let path = Path::new(&given);
+        let text = if path.exists() {
+            std::fs::read_to_string(path).with_context(|| format!("cannot read the token {}", path.display()))?
+        } else {
+            given
+        };
+        let token = text.trim().as_bytes().to_vec();
+        let bytes = token.len();
+        anyhow::ensure!(bytes <= TOKEN_BYTES_MAX, "{bytes} bytes are no token: at most {TOKEN_BYTES_MAX} are");
+        Ok(token)
     }
 }
 
@@ -139,6 +179,10 @@ pub struct Headless {
     /// A name for people
     #[arg(long, default_value = "headless")]
     name: String,
+
+    /// Print what comes into view, stops, leaves, and what is said, a line each
+    #[arg(long)]
+    events: bool,
 }
 
 const HEADLESS_EXAMPLES: &str = "Examples:
@@ -151,15 +195,16 @@ const HEADLESS_EXAMPLES: &str = "Examples:
 /// # Errors
 /// If there is no such server, it does not let us in, its world can't be had, or the connection is lost.
 pub fn headless(options: &Headless) -> anyhow::Result<()> {
-    let (address, fingerprint) = options.target.resolve()?;
     let period = Duration::from_secs_f64(1.0 / options.frame_hz);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let shutdown = shutdown_signal()?;
-        let endpoint = Endpoint::new(fingerprint, address)?;
+        let (endpoint, address) = options.target.endpoint()?;
         let config = SessionConfig::default()
             .with_name(options.name.clone())
+            .with_token(options.target.token()?)
             .with_tracker(TrackerConfig::default().with_frame(period));
+        let config = if options.events { config.with_watch() } else { config };
         // How large the world is will be known later.
         let session = Session::new(config, Box::new(|| Box::new(DynamicOctree::new(Aabb::EMPTY))));
         let mut connection = endpoint.connect(address, session, LocalClock::default()).await?;
@@ -176,6 +221,11 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
         let mut second = Second::default();
         let on_frame = Box::new(|session: &mut Session, report: &crate::net::FrameReport| {
             second.add(report.cull + report.track);
+            while let Some(event) = session.poll_event() {
+                if options.events {
+                    print(&format!("        {}\n", event.describe()));
+                }
+            }
             // A frame count, not a clock: a line stands for a second's frames.
             if second.frames >= options.frame_hz.ceil() as u32 {
                 print(&second.line(session));
@@ -196,7 +246,7 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
             }
         };
         let first = connection.clock().now();
-        let ran = run_headless(&mut connection, &mut onlooker, period, first, end).await;
+        let ran = run_resuming(&endpoint, address, &mut connection, &mut onlooker, period, first, end).await;
         let stats = *connection.session.stats();
         let (sent, sent_bytes, received, received_bytes) = connection.udp();
         let skipped = ran.as_ref().map_or(0, |summary| summary.skipped);
@@ -257,7 +307,7 @@ pub fn number(
 }
 
 /// Writes to standard output at once. Who has closed it does not want to read, which is no reason to end.
-fn print(text: &str) {
+pub(crate) fn print(text: &str) {
     let mut out = std::io::stdout().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }

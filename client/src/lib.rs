@@ -8,6 +8,8 @@ pub mod app;
 pub mod clock;
 #[cfg(feature = "net")]
 pub mod net;
+#[cfg(feature = "net")]
+pub mod operate;
 pub mod session;
 pub mod tracking;
 pub mod world;

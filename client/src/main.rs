@@ -4,6 +4,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use eyeline_client::app::{self, Command};
+use eyeline_client::operate;
 
 /// Joins a world, and hears only about what it could see
 ///
@@ -28,6 +29,7 @@ fn main() -> ExitCode {
     app::init_logs();
     let ran = match options.command {
         Command::Headless(options) => app::headless(&options),
+        Command::Operate(options) => operate::operate(&options),
     };
     match ran {
         Ok(()) => ExitCode::SUCCESS,

@@ -149,6 +149,27 @@ pub enum Event {
     Done(bool, String),
 }
 
+impl Event {
+    /// What happened, for people. Names and texts of others come escaped.
+    pub fn describe(&self) -> String {
+        match self {
+            Event::Welcomed(welcome) => format!("welcome, client {}: {:?}", welcome.client.0, welcome.continuity),
+            Event::Refused { reason, .. } => format!("refused: {reason}"),
+            Event::ServerFault(error) => format!("the server makes no sense: {error}"),
+            Event::Revealed(object) => format!("object {} comes into view", object.0),
+            Event::Hidden(object) => format!("object {} is out of sight", object.0),
+            Event::Stopped(object) => format!("object {} stands still", object.0),
+            Event::Left(object) => format!("object {} has left", object.0),
+            Event::Held(object, hold) => format!("object {} is {hold:?}", object.0),
+            Event::Payload(Some(object), bytes) => format!("object {} sends {} bytes", object.0, bytes.len()),
+            Event::Payload(None, bytes) => format!("the server sends {} bytes", bytes.len()),
+            Event::Said(text) => format!("said: {}", text.escape_debug()),
+            Event::Clients(entries) => format!("{} clients are here", entries.len()),
+            Event::Done(ok, text) => format!("{}: {}", if *ok { "done" } else { "not done" }, text.escape_debug()),
+        }
+    }
+}
+
 /// Counters of a session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionStats {

@@ -3,6 +3,7 @@
 // This is a driver: it may read the clock and own sockets.
 #![expect(clippy::disallowed_methods, clippy::disallowed_types)]
 
+mod again;
 mod headless;
 mod onlooker;
 mod pin;
@@ -12,6 +13,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+pub use again::run_resuming;
 use bytes::Bytes;
 use eyeline_protocol::codec::ControlReader;
 use eyeline_protocol::{ALPN, LocalTime};

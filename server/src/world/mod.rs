@@ -622,6 +622,9 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
 mod audit_tests;
 
 #[cfg(test)]
+mod people_tests;
+
+#[cfg(test)]
 mod push_tests;
 
 #[cfg(test)]
