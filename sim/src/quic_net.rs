@@ -26,6 +26,7 @@ use bytes::BytesMut;
 use eyeline_client::net::Fingerprint;
 use eyeline_protocol::WorldTime;
 use eyeline_server::net::Identity;
+use eyeline_server::world::PathState;
 use quinn_proto::{ConnectionEvent, DatagramEvent, Endpoint, EndpointConfig, Transmit};
 use rand::RngExt;
 
@@ -291,10 +292,10 @@ impl Transport for QuicNet {
         end.as_ref().map_or(Duration::ZERO, End::waited_max)
     }
 
-    fn queued_at(&self, client: usize, direction: Direction) -> Option<WorldTime> {
+    fn path(&self, client: usize, direction: Direction, now: WorldTime) -> Option<PathState> {
         let peer = self.peers.get(client)?;
         let end = if direction == Direction::Up { &peer.client } else { &peer.server };
-        end.as_ref()?.queued_at()
+        Some(end.as_ref()?.path(now))
     }
 
     fn udp(&self, client: usize) -> Option<[u64; 4]> {

@@ -23,7 +23,7 @@ use quinn::crypto::rustls::QuicServerConfig;
 use tokio::sync::mpsc;
 
 use crate::gate::Caller;
-use crate::world::{SessionId, Transmit, World};
+use crate::world::{PathState, SessionId, Transmit, World, room};
 
 /// Why a server can't start.
 #[derive(Debug, thiserror::Error)]
@@ -110,12 +110,15 @@ struct Peer {
 }
 
 impl Peer {
-    /// Whether datagrams have waited in QUIC's buffer for `long`: its path is narrower than what is said, or was for a moment.
-    fn is_backlogged(&mut self, now: WorldTime, long: Duration) -> bool {
-        if self.connection.datagram_send_buffer_space() >= self.empty_space {
+    /// How many bytes of datagrams QUIC will have sent a tick from now if it gets them now.
+    fn room(&mut self, now: WorldTime, tick: Duration) -> usize {
+        let queued_bytes = self.empty_space.saturating_sub(self.connection.datagram_send_buffer_space());
+        if queued_bytes == 0 {
             self.queued_at = None;
         }
-        self.queued_at.is_some_and(|at| now.since(at) >= long)
+        let path = self.connection.stats().path;
+        let waited = self.queued_at.map(|at| now.since(at));
+        room(PathState { waited, queued_bytes, window_bytes: path.cwnd, round_trip: path.rtt }, tick)
     }
 }
 
@@ -180,11 +183,11 @@ impl Handle {
 
 impl Core {
     fn flush(&mut self, now: WorldTime) {
-        let half_tick = self.world.tick_period() / 2;
+        let tick = self.world.tick_period();
         loop {
             let peers = &mut self.peers;
-            let may_build = |id| peers.get_mut(&id).is_none_or(|peer| !peer.is_backlogged(now, half_tick));
-            let Some((id, transmit)) = self.world.poll_transmit_where(now, may_build) else { break };
+            let room = |id| peers.get_mut(&id).map_or(usize::MAX, |peer| peer.room(now, tick));
+            let Some((id, transmit)) = self.world.poll_transmit_where(now, room) else { break };
             let Some(peer) = self.peers.get_mut(&id) else { continue };
             let outgoing = match transmit {
                 Transmit::Datagram(bytes) => {

@@ -462,15 +462,16 @@ impl World {
 
     /// The next thing to send. Datagrams are built here, late, from the newest state.
     pub fn poll_transmit(&mut self, now: WorldTime) -> Option<(SessionId, Transmit)> {
-        self.poll_transmit_where(now, |_| true)
+        self.poll_transmit_where(now, |_| usize::MAX)
     }
 
-    /// The same, but builds no datagram for a client that `may_build` says no of: one to which older ones have not left yet.
-    /// What is due stays so until the next tick, and is then told as it is then: no queue fills with the past.
+    /// The same, but builds no larger datagram for a client than `room` says, in bytes, and none where that is too little:
+    /// its path would not carry it in a tick, or has not carried older ones yet ([`room`]). What is due stays so until the
+    /// next tick, and is then told as it is then: no queue fills with the past.
     pub fn poll_transmit_where(
         &mut self,
         now: WorldTime,
-        mut may_build: impl FnMut(SessionId) -> bool,
+        mut room: impl FnMut(SessionId) -> usize,
     ) -> Option<(SessionId, Transmit)> {
         if let Some(control) = self.out.pop_front() {
             if matches!(control.1, Transmit::Control(_)) {
@@ -479,9 +480,10 @@ impl World {
             return Some(control);
         }
         while let Some(&id) = self.awake.front() {
-            let is_free = may_build(id);
+            let room = room(id);
+            let is_free = room >= DATAGRAM_LIMIT_LEAST;
             self.stats.held_back += u64::from(!is_free);
-            if is_free && let Some(datagram) = self.build_datagram(id, now) {
+            if is_free && let Some(datagram) = self.build_datagram(id, room, now) {
                 self.stats.datagrams_out += 1;
                 self.stats.datagram_bytes_out += datagram.len() as u64;
                 return Some((id, Transmit::Datagram(datagram)));
@@ -491,7 +493,7 @@ impl World {
         None
     }
 
-    fn build_datagram(&mut self, id: SessionId, now: WorldTime) -> Option<Vec<u8>> {
+    fn build_datagram(&mut self, id: SessionId, room: usize, now: WorldTime) -> Option<Vec<u8>> {
         let session = self.sessions.get_mut(&id)?;
         let Phase::Live { slot, .. } = session.phase else { return None };
         let (tick, config, anchor) = (self.tick, &self.config, self.anchor);
@@ -509,7 +511,7 @@ impl World {
             _ => true,
         };
         let lens = config.bytes_per_second.and_then(|_| session.lens(id, &self.objects, classes));
-        let moment = Moment { now, tick, slot, reckons: config.dead_reckoning_px.is_some(), lens };
+        let moment = Moment { now, tick, slot, room, reckons: config.dead_reckoning_px.is_some(), lens };
         session.build(moment, &mut self.objects, &mut self.stats, entitled, |object, known| {
             let motion = classes[usize::from(object.class.0)].motion;
             let fresh = object.fresh_tbv(tick, motion, config, anchor);
@@ -563,6 +565,32 @@ fn eye_region(config: &WorldConfig, motion: MotionBound, round_trip: Option<Dura
     // Of a client that has not been measured yet the most is believed.
     let Some(round_trip) = round_trip else { return config.audit_radius_max };
     motion.reach((2 * round_trip + 3 * config.tick).as_secs_f64()).min(config.audit_radius_max)
+}
+
+/// How many bytes may be handed to a transport now so that they leave within a tick: what its congestion window lets go in that
+/// time, less what waits there already. A small datagram is let through in any case, or nothing ever would be; but none where
+/// something has waited for half a tick.
+pub fn room(path: PathState, tick: Duration) -> usize {
+    if path.waited.is_some_and(|waited| waited >= tick / 2) {
+        return 0;
+    }
+    let ticks = tick.as_secs_f64() / path.round_trip.as_secs_f64().max(1e-6);
+    // More than fits saturates.
+    let leaves = (path.window_bytes as f64 * ticks) as usize;
+    leaves.max(DATAGRAM_LIMIT_LEAST).saturating_sub(path.queued_bytes)
+}
+
+/// What a transport knows of the path to a client.
+#[derive(Clone, Copy, Debug)]
+pub struct PathState {
+    /// For how long the oldest datagram has waited to leave; `None` if none waits.
+    pub waited: Option<Duration>,
+    /// Bytes of datagrams that wait.
+    pub queued_bytes: usize,
+    /// The congestion window, bytes.
+    pub window_bytes: u64,
+    /// Round-trip time as the transport measures it.
+    pub round_trip: Duration,
 }
 
 fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldError> {

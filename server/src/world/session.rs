@@ -96,6 +96,8 @@ pub(super) struct Moment<'a> {
     pub tick: WorldTime,
     /// The client's bit in the holders' sets.
     pub slot: usize,
+    /// Most bytes that the datagram may have.
+    pub room: usize,
     /// Whether states say how they go on.
     pub reckons: bool,
     /// What weighs states against each other where a byte cap binds.
@@ -459,6 +461,7 @@ impl Session {
         mut bound: impl FnMut(&mut Object, Option<&mut Known>) -> Option<WireTbv>,
     ) -> Option<Vec<u8>> {
         let Moment { now, tick, slot, .. } = moment;
+        let limit = self.datagram_limit.min(moment.room);
         let timeout = self.link.timeout();
         let may_tell = self.budget.is_none_or(|budget| budget > 0.0);
         let violations_due = self.violations.values().any(|violation| violation.is_due(now, timeout));
@@ -475,7 +478,7 @@ impl Session {
         let mut carried = Vec::with_capacity(self.states_due.len() + self.hidden_due.len());
         let mut records = 0;
         // Records are gathered first, then the link is told what goes, then the header is known.
-        let mut writer = DatagramWriter::before_header(ServerHeader::BYTES_MAX, self.datagram_limit);
+        let mut writer = DatagramWriter::before_header(ServerHeader::BYTES_MAX, limit);
         let mut full = false;
         for (&object, violation) in &mut self.violations {
             if full || !violation.is_due(now, timeout) {

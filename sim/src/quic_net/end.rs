@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use eyeline_protocol::WorldTime;
 use eyeline_protocol::codec::ControlReader;
+use eyeline_server::world::PathState;
 use quinn_proto::{Connection, ConnectionHandle, Datagram, Dir, Event, StreamEvent, StreamId, VarInt};
 
 use crate::virtual_net::Direction;
@@ -107,9 +108,15 @@ impl End {
         }
     }
 
-    /// When the oldest datagram that waits was handed over.
-    pub fn queued_at(&self) -> Option<WorldTime> {
-        self.waiting.front().map(|&(since, _)| since)
+    /// What QUIC knows of the path that it sends on.
+    pub fn path(&self, now: WorldTime) -> PathState {
+        let path = self.connection.stats().path;
+        PathState {
+            waited: self.waiting.front().map(|&(since, _)| now.since(since)),
+            queued_bytes: self.waiting_bytes,
+            window_bytes: path.cwnd,
+            round_trip: path.rtt,
+        }
     }
 
     /// Longest time that a datagram waited.

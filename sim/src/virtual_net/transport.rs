@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use eyeline_protocol::WorldTime;
 use eyeline_protocol::codec::DecodeError;
+use eyeline_server::world::PathState;
 
 use super::client::ClientPlan;
 use super::link::Direction;
@@ -86,9 +87,9 @@ pub(crate) trait Transport {
         Duration::ZERO
     }
 
-    /// When the oldest datagram was handed over that still waits at the end that sends in `direction`.
-    fn queued_at(&self, client: usize, direction: Direction) -> Option<WorldTime> {
-        let _ = (client, direction);
+    /// What the end that sends in `direction` knows of its path; `None` where nothing ever waits.
+    fn path(&self, client: usize, direction: Direction, now: WorldTime) -> Option<PathState> {
+        let _ = (client, direction, now);
         None
     }
 

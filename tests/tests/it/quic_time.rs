@@ -154,8 +154,8 @@ fn a_narrow_path_delays_what_is_said_but_loses_no_connection() {
     // Less than they would say: quinn's windows and our own leases must cope.
     let (village, overflowed) = live(12_000);
     assert!(overflowed > 10, "{overflowed}: it was not narrow");
-    // The server builds nothing more while something waits in quinn's buffer, so that a pose waits for one datagram of its
-    // own tick at most; that takes its time over such a path.
+    // The server builds no more than leaves within a tick as the path has been, and nothing while something older waits. What
+    // is in quinn's buffer when a whole window gets lost waits there until quinn probes the path, which nobody can hurry.
     let waited = PEOPLE.map(|person| village.run.waited_max(person, Direction::Down)).max();
     assert!(village.run.world().stats().held_back > 10);
     assert!(waited.is_some_and(|waited| waited < ms(2_000)), "{waited:?}");

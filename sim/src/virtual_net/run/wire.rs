@@ -1,7 +1,7 @@
 //! Between cores and transport: what the world says goes to the transport, and what the transport wants is done.
 
 use eyeline_client::session::Event as SessionEvent;
-use eyeline_server::world::Transmit;
+use eyeline_server::world::{Transmit, room};
 
 use super::{Event, FNV, VirtualRun};
 use crate::virtual_net::link::{Direction, Fate, Kind, VirtualLink};
@@ -40,15 +40,15 @@ impl VirtualRun {
 
     pub(super) fn drain_world(&mut self) {
         // As the server's shell does.
-        let half_tick = self.world.tick_period() / 2;
+        let tick = self.world.tick_period();
         loop {
             let (clients, transport, now) = (&self.clients, &self.transport, self.now);
-            let may_build = |id| {
+            let room = |id| {
                 let client = clients.iter().position(|client| client.id == id);
-                let queued_at = client.and_then(|client| transport.queued_at(client, Direction::Down));
-                queued_at.is_none_or(|at| now.since(at) < half_tick)
+                let path = client.and_then(|client| transport.path(client, Direction::Down, now));
+                path.map_or(usize::MAX, |path| room(path, tick))
             };
-            let Some((id, transmit)) = self.world.poll_transmit_where(now, may_build) else { break };
+            let Some((id, transmit)) = self.world.poll_transmit_where(now, room) else { break };
             let Some(client) = self.client_of(id) else { continue };
             match transmit {
                 Transmit::Control(bytes) => self.transport.send_control(client, Direction::Down, &bytes),
