@@ -255,6 +255,7 @@ impl World {
     /// One datagram of a client. Requests in it are answered at once.
     pub fn handle_datagram(&mut self, id: SessionId, bytes: &[u8], now: WorldTime) {
         self.stats.datagrams_in += 1;
+        self.stats.datagram_bytes_in += bytes.len() as u64;
         let Some(session) = self.sessions.get_mut(&id) else { return };
         let Phase::Live { slot, watches } = session.phase else {
             self.stats.rejected_datagrams += 1;

@@ -4,6 +4,7 @@
 #![expect(clippy::disallowed_methods)]
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -16,6 +17,7 @@ use eyeline_client::tracking::{Sabotage, TrackerConfig};
 use eyeline_protocol::Welcome;
 use eyeline_server::app::shutdown_signal;
 use eyeline_server::spec::AvatarSpec;
+use eyeline_sim::load::process::pin_to;
 use eyeline_sim::load::ways::{Replayer, WayRules, Ways};
 use eyeline_sim::motion::WalkerPose;
 use eyeline_sim::people::{Ground, Person};
@@ -23,6 +25,7 @@ use eyeline_sim::report::{Column, Progress, Row, table};
 use eyeline_sim::scene::plan::RoomPlan;
 use eyeline_visibility::{Aabb, AllRound, DynamicOctree};
 use glam::DVec3;
+use rand::RngExt;
 use serde::Serialize;
 use tokio::sync::watch;
 use tokio::task::{JoinSet, LocalSet};
@@ -66,6 +69,19 @@ pub struct Swarm {
     #[arg(long, value_name = "HZ", default_value_t = 20.0, value_parser = number(0.1..=240.0, "Hz"))]
     frame_hz: f64,
 
+    /// Every second so many of those who replay leave and join anew, so many come back over another connection, and so many are
+    /// put elsewhere
+    #[arg(long, value_name = "N", default_value_t = 0.0, value_parser = number(0.0..=1000.0, "1/s"))]
+    churn: f64,
+
+    /// Keep to this core, counted from 0 [default: any]
+    #[arg(long, value_name = "CORE")]
+    core: Option<usize>,
+
+    /// Write the summary's row into this file as JSON, for `load`
+    #[arg(long, value_name = "FILE", hide = true)]
+    row: Option<PathBuf>,
+
     /// Exit with 0 even if frames began too late for the numbers to mean anything
     #[arg(long)]
     late_ok: bool,
@@ -84,7 +100,10 @@ pub const EXAMPLES: &str = "Examples:
 Exits with 1 if frames began too late for the numbers to mean anything.";
 
 /// A run whose frames came later than this in one of a hundred cases measured the machine, not the clients.
-const LATE_MAX: Duration = Duration::from_millis(5);
+pub const LATE_MAX: Duration = Duration::from_millis(5);
+
+/// Said when the measurement begins, for `load`.
+pub const ALL_IN: &str = "all are in\n";
 
 /// What the clients' frames add up to, from the moment when all are in and have settled.
 #[derive(Default)]
@@ -107,7 +126,12 @@ impl Frames {
         self.cull += report.cull;
         self.track += report.track;
         let now = (*session.stats(), report.skipped);
-        self.counted.entry(number).or_insert([now, now])[1] = now;
+        let counted = self.counted.entry(number).or_insert([now, now]);
+        if counted[1].0.records_out > now.0.records_out || counted[1].1 > now.1 {
+            // Another session, or another run of it: what the one before counted goes with it.
+            counted[0] = now;
+        }
+        counted[1] = now;
     }
 
     /// The sum of what a counter gained.
@@ -115,6 +139,39 @@ impl Frames {
         self.counted.values().map(|[first, last]| counter(last) - counter(first)).sum()
     }
 }
+
+/// What somebody does who does not simply stay.
+#[derive(Clone, Copy, Debug)]
+enum Change {
+    Rejoin,
+    Resume,
+    Teleport,
+}
+
+/// Who changes when, as chance has it.
+struct Churn {
+    chance: rand_pcg::Pcg64,
+    /// Mean time between two changes of one client, seconds.
+    mean_s: f64,
+}
+
+impl Churn {
+    /// For one of `clients` that make `rate` changes of each kind a second; `None` for no changes.
+    fn new(rate: f64, seed: u64, number: usize, clients: usize) -> Option<Churn> {
+        let chance = rand_pcg::Pcg64::new(u128::from(seed), number as u128);
+        (rate > 0.0 && clients > 0).then(|| Churn { chance, mean_s: clients as f64 / (3.0 * rate) })
+    }
+
+    /// For how long to stay, and what to do then.
+    fn next(&mut self) -> (Duration, Change) {
+        let stay_s = self.chance.random_range(0.0..2.0 * self.mean_s);
+        let change = [Change::Rejoin, Change::Resume, Change::Teleport][self.chance.random_range(0..3)];
+        (Duration::from_secs_f64(stay_s), change)
+    }
+}
+
+/// Longer than any run.
+const FOREVER: Duration = Duration::from_secs(1 << 30);
 
 /// What became of one client.
 struct Outcome {
@@ -161,6 +218,9 @@ fn columns() -> Vec<Column> {
 
 /// Runs a swarm.
 pub fn run(options: &Swarm) -> anyhow::Result<()> {
+    if let Some(core) = options.core {
+        pin_to(core)?;
+    }
     let plan = match &options.world.world {
         Some(path) => RoomPlan::beside(path)?.map(Arc::new),
         None => None,
@@ -174,10 +234,11 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
     tokio::pin!(shutdown);
     let (address, fingerprint) = options.target.resolve()?;
     let period = Duration::from_secs_f64(1.0 / options.frame_hz);
-    let endpoint = Endpoint::new(fingerprint, address)?;
+    let endpoint = Arc::new(Endpoint::new(fingerprint, address)?);
     let clock = LocalClock::default();
-    let session = |number: u32, bounds: Aabb| {
-        let tracker = TrackerConfig::default().with_frame(period).with_sabotage(options.sabotage);
+    let sabotage = options.sabotage;
+    let session = move |number: u32, bounds: Aabb| {
+        let tracker = TrackerConfig::default().with_frame(period).with_sabotage(sabotage);
         let config = SessionConfig::default().with_name(format!("swarm {number}")).with_tracker(tracker);
         Session::new(config, Box::new(move || Box::new(DynamicOctree::new(bounds))))
     };
@@ -207,32 +268,62 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
     // Each plays from the moment when it is in: who waited for the last would not read what it is told of those who join.
     let mut play = |number: usize, mut connection: Connection| {
         // Frames of different clients are spread evenly, so that none waits for another.
-        let phase = period.mul_f64(number as f64 / f64::from(options.clients));
-        let since = clock.now().since(begin + phase);
-        let due = begin + phase + period.mul_f64((since.as_secs_f64() / period.as_secs_f64()).ceil());
-        let (frames, mut stopped) = (frames.clone(), stopped.clone());
-        let hook = move |session: &mut Session, report: &FrameReport, _: &WalkerPose| {
-            frames.lock().unwrap_or_else(PoisonError::into_inner).note(number, session, report);
-        };
-        let mut driver: Box<dyn Driver> = match (&ways, number.checked_sub(culling)) {
-            (Some(ways), Some(number)) => {
-                Box::new(Replayer::new(ways.clone(), number, replaying, Some(Box::new(hook))))
+        let phase = begin + period.mul_f64(number as f64 / f64::from(options.clients));
+        let (frames, mut stopped, endpoint) = (frames.clone(), stopped.clone(), endpoint.clone());
+        let (ways, ground, seed, side) = (ways.clone(), ground.clone(), options.seed, options.side);
+        let mut churn = Churn::new(options.churn, seed, number, replaying).filter(|_| number >= culling);
+        let driver = move |turn: usize| -> Box<dyn Driver> {
+            let frames = frames.clone();
+            let hook = move |session: &mut Session, report: &FrameReport, _: &WalkerPose| {
+                frames.lock().unwrap_or_else(PoisonError::into_inner).note(number, session, report);
+            };
+            match (&ways, number.checked_sub(culling)) {
+                (Some(ways), Some(number)) => {
+                    Box::new(Replayer::new(ways.clone(), number + 37 * turn, replaying, Some(Box::new(hook))))
+                }
+                _ => Box::new(Person::on(&ground, seed, number, side, Some(Box::new(hook)))),
             }
-            _ => Box::new(Person::on(&ground, options.seed, number, options.side, Some(Box::new(hook)))),
         };
         clients.spawn_local(async move {
-            let end = async {
-                // The sender outlives every client.
-                let _ = stopped.wait_for(|&stop| stop).await;
-            };
-            let ran = run_headless(&mut connection, driver.as_mut(), period, due, end).await;
-            let ran = ran.with_context(|| format!("client {number}"));
-            let outcome = ran.map(|_| Outcome {
+            let mut turn = 0;
+            let mut player = driver(turn);
+            loop {
+                let passed = clock.now().since(phase).as_secs_f64() / period.as_secs_f64();
+                let due = phase + period.mul_f64(passed.ceil());
+                let change = churn.as_mut().map(Churn::next);
+                let stay = change.map_or(FOREVER, |(stay, _)| stay);
+                let end = async {
+                    tokio::select! {
+                        // The sender outlives every client.
+                        _ = stopped.wait_for(|&stop| stop) => {}
+                        () = tokio::time::sleep(stay) => {}
+                    }
+                };
+                let ran = run_headless(&mut connection, player.as_mut(), period, due, end).await;
+                ran.with_context(|| format!("client {number}"))?;
+                let Some((_, change)) = change.filter(|_| !*stopped.borrow()) else { break };
+                turn += 1;
+                match change {
+                    // Where another way begins is somewhere else.
+                    Change::Teleport => player = driver(turn),
+                    Change::Resume => endpoint
+                        .resume(address, &mut connection)
+                        .await
+                        .with_context(|| format!("client {number} comes back"))?,
+                    Change::Rejoin => {
+                        connection.close().await;
+                        let fresh = endpoint.connect(address, session(number as u32, bounds), clock).await;
+                        connection = fresh.with_context(|| format!("client {number} joins anew"))?;
+                        player = driver(turn);
+                    }
+                }
+            }
+            let outcome = Outcome {
                 round_trip: connection.session.round_trip().map(|(smoothed, _)| smoothed),
                 counts: connection.session.tracker().map_or((0, 0, 0), |tracker| tracker.counts()),
-            });
+            };
             connection.close().await;
-            outcome
+            Ok(outcome)
         });
     };
     play(0, first);
@@ -247,7 +338,7 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
     tokio::time::sleep(Duration::from_secs_f64(options.settle)).await;
     let began = Instant::now();
     frames.lock().unwrap_or_else(PoisonError::into_inner).is_measured = true;
-    super::print("all are in\n");
+    super::print(ALL_IN);
 
     let end = Duration::from_secs_f64(options.seconds);
     let mut to_come = options.seconds.ceil() as u64;
@@ -287,7 +378,7 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
         }
     }
     endpoint.wait_idle().await;
-    let (text, void) = summary(&outcomes, measured, elapsed)?;
+    let (text, void) = summary(&outcomes, measured, elapsed, options.row.as_deref())?;
     super::print(&text);
     match (failed, void) {
         (Some(error), _) => Err(error),
@@ -332,7 +423,12 @@ fn ground(welcome: &Welcome, plan: Option<Arc<RoomPlan>>, all_round: AllRound) -
 }
 
 /// The run's row for people, and why it is void, if it is.
-fn summary(outcomes: &[Outcome], mut frames: Frames, seconds: f64) -> anyhow::Result<(String, Option<String>)> {
+fn summary(
+    outcomes: &[Outcome],
+    mut frames: Frames,
+    seconds: f64,
+    file: Option<&Path>,
+) -> anyhow::Result<(String, Option<String>)> {
     frames.late.sort_unstable();
     let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
     let count = frames.late.len();
@@ -359,6 +455,9 @@ fn summary(outcomes: &[Outcome], mut frames: Frames, seconds: f64) -> anyhow::Re
         hidden_mean: each(sum(&|outcome| outcome.counts.1)),
         rtt_ms: (!rtts.is_empty()).then(|| ms(rtts.iter().sum::<Duration>()) / rtts.len() as f64),
     };
+    if let Some(file) = file {
+        std::fs::write(file, serde_json::to_string(&row)?).with_context(|| format!("cannot write {}", file.display()))?;
+    }
     let text = table(&[Row::of(&row)?], &columns());
     let void = (late(0.99) > LATE_MAX).then(|| {
         let (is, most) = (ms(late(0.99)), ms(LATE_MAX));
