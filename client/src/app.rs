@@ -8,8 +8,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use eyeline_protocol::TOKEN_BYTES_MAX;
+use eyeline_protocol::{Position, Role, TOKEN_BYTES_MAX};
 use eyeline_visibility::{Aabb, DynamicOctree};
+use glam::DVec3;
 
 use crate::net::{Endpoint, Fingerprint, LocalClock, ModelSource, Onlooker, run_resuming};
 use crate::session::{Session, SessionConfig, SessionStats};
@@ -180,6 +181,11 @@ pub struct Headless {
     #[arg(long, default_value = "headless")]
     name: String,
 
+    /// Have no avatar and look from this point of the model, metres; needs a token that lets one fly, or a server that lets
+    /// anybody
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
+    fly: Option<DVec3>,
+
     /// Print what comes into view, stops, leaves, and what is said, a line each
     #[arg(long)]
     events: bool,
@@ -205,6 +211,7 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
             .with_token(options.target.token()?)
             .with_tracker(TrackerConfig::default().with_frame(period));
         let config = if options.events { config.with_watch() } else { config };
+        let config = if options.fly.is_some() { config.with_role(Role::Viewer) } else { config };
         // How large the world is will be known later.
         let session = Session::new(config, Box::new(|| Box::new(DynamicOctree::new(Aabb::EMPTY))));
         let mut connection = endpoint.connect(address, session, LocalClock::default()).await?;
@@ -231,8 +238,13 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
                 print(&second.line(session));
             }
         });
-        let mut onlooker =
-            Onlooker::new(&scene, welcome, options.side, on_frame).context("the server gave us no avatar")?;
+        let mut onlooker = match options.fly {
+            Some(eye) => {
+                let eye = Position::from_metres(eye - DVec3::from_array(welcome.anchor)).context("--fly")?;
+                Onlooker::flying(&scene, eye, options.side, on_frame)
+            }
+            None => Onlooker::new(&scene, welcome, options.side, on_frame).context("the server gave us no avatar")?,
+        };
         let end = async {
             match options.seconds {
                 Some(seconds) => tokio::time::sleep(Duration::from_secs_f64(seconds)).await,
@@ -292,6 +304,15 @@ impl Second {
         );
         *self = Second { number: self.number, before: stats, ..Second::default() };
         line
+    }
+}
+
+/// A point on the command line.
+fn point(text: &str) -> Result<DVec3, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[x, y, z]) if x.is_finite() && y.is_finite() && z.is_finite() => Ok(DVec3::new(x, y, z)),
+        _ => Err("give three numbers with commas between, metres, as in 1.5,1.6,-3".to_owned()),
     }
 }
 

@@ -83,10 +83,8 @@ pub fn operate(options: &Operate) -> anyhow::Result<()> {
     runtime.block_on(async {
         let (endpoint, address) = options.target.endpoint()?;
         // Somebody who only looks: an operator at work has no avatar.
-        let config = SessionConfig::default()
-            .with_role(Role::Viewer)
-            .with_name("operator")
-            .with_token(options.target.token()?);
+        let config =
+            SessionConfig::default().with_role(Role::Viewer).with_name("operator").with_token(options.target.token()?);
         let session = Session::new(config, Box::new(|| Box::new(DynamicOctree::new(Aabb::EMPTY))));
         let mut connection = endpoint.connect(address, session, LocalClock::default()).await?;
         connection.session.command(options.order.clone().command());
@@ -122,6 +120,7 @@ fn list(entries: &[ClientEntry]) -> String {
         let (name, subject) = (entry.name.escape_debug(), entry.subject.escape_debug());
         format!("{client:>6} {rank:<8} {avatars:>7} {seconds:>8} {rtt} ms  {name} ({subject}){away}\n")
     };
-    let head = format!("{:>6} {:<8} {:>7} {:>8} {:>7}     name (subject)\n", "client", "rank", "avatars", "seconds", "rtt");
+    let head =
+        format!("{:>6} {:<8} {:>7} {:>8} {:>7}     name (subject)\n", "client", "rank", "avatars", "seconds", "rtt");
     entries.iter().map(line).fold(head, |text, line| text + &line)
 }

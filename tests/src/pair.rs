@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use eyeline_client::session::{Session, SessionConfig};
+use eyeline_client::session::{Event, Session, SessionConfig};
 use eyeline_client::tracking::{TrackerConfig, TrackerStats};
 use eyeline_protocol::{
     ClientRecord, ObjectId, Orientation, Position, Role, ServerRecord, WorldInfo, WorldTime, codec,
@@ -210,7 +210,7 @@ impl PairBuilder {
         let puppeteer = Puppeteer { puppets: puppets.clone(), before: None };
         run.join(plan, Box::new(puppeteer), IndexView::default().maker());
         let place = Arc::new(Mutex::new(DVec3::ZERO));
-        let session = SessionConfig::default().with_tracker(self.tracker);
+        let session = SessionConfig::default().with_tracker(self.tracker).with_watch();
         let kind_link = LinkRules { loss: 0.0, ..self.link };
         let plan = ClientPlan::new(session, kind_link).with_drift(self.drift).with_phase(Duration::from_millis(30));
         let view = IndexView::default();
@@ -320,6 +320,16 @@ impl Pair {
     pub fn drawn(&self, object: ObjectId) -> Option<DVec3> {
         let tracker = self.session().tracker()?;
         tracker.drawn().find(|drawn| drawn.object == object).map(|drawn| drawn.position.metres())
+    }
+
+    /// What the client was told of `object` as events, oldest first.
+    pub fn events(&self, object: ObjectId) -> Vec<Event> {
+        let events = self.run.clients()[self.client].events();
+        let is_it = |event: &&Event| match event {
+            Event::Revealed(of) | Event::Hidden(of) | Event::Stopped(of) | Event::Left(of) => *of == object,
+            _ => false,
+        };
+        events.iter().filter(is_it).cloned().collect()
     }
 
     /// Where `object` truly is.

@@ -61,7 +61,9 @@ async fn come_back(
     loop {
         match endpoint.resume(address, connection).await {
             Ok(()) => break,
-            Err(error @ (NetError::Refused { .. } | NetError::Ended(_) | NetError::ServerFault(_))) => return Err(error),
+            Err(error @ (NetError::Refused { .. } | NetError::Ended(_) | NetError::ServerFault(_))) => {
+                return Err(error);
+            }
             Err(error) if connection.clock().now() + pause >= until => {
                 return Err(NetError::Lost(format!("{lost}; and there is no coming back: {error}")));
             }
@@ -71,9 +73,9 @@ async fn come_back(
         pause = (pause * 2).min(PAUSE_MAX);
     }
     match connection.session.welcome().map(|welcome| welcome.continuity) {
-        Some(Continuity::New) | None => {
-            Err(NetError::Lost(format!("{lost}; the server has forgotten us: it began anew, or we were away for too long")))
-        }
+        Some(Continuity::New) | None => Err(NetError::Lost(format!(
+            "{lost}; the server has forgotten us: it began anew, or we were away for too long"
+        ))),
         Some(_) => {
             tracing::info!("back again");
             Ok(())

@@ -1,4 +1,4 @@
-//! The simplest person in front of a headless client: stands where the server put it, and turns.
+//! The simplest person in front of a headless client: stands where the server put it, or floats somewhere, and turns.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -17,11 +17,13 @@ const TURN_RATE: f64 = TAU / 12.0;
 /// Called after each frame.
 pub type OnFrame<'a> = Box<dyn FnMut(&mut Session, &FrameReport) + 'a>;
 
-/// Stands at its spawn point and turns, and sees what hides things from there.
+/// Stands at its spawn point, or floats where it was told, and turns, and sees what hides things from there.
 pub struct Onlooker<'a> {
-    object: ObjectId,
+    /// Its avatar; none if it only looks.
+    object: Option<ObjectId>,
     position: Position,
     eye: DVec3,
+    yaw: f64,
     all_round: Arc<AllRound>,
     scratch: AllRoundScratch,
     /// Radius of the region that was culled from.
@@ -36,23 +38,34 @@ impl<'a> Onlooker<'a> {
         let &(object, position, _) = welcome.avatars.first()?;
         // Avatars are the first class.
         let eye_height = welcome.classes.first().map_or(0.0, |class| class.eye_height);
+        let eye = position.metres() + DVec3::Y * eye_height;
+        Some(Onlooker::with_eye(scene, Some(object), position, eye, side, on_frame))
+    }
+
+    /// Somebody who has no avatar and looks from `eye`, relative to the anchor: whose token lets it fly.
+    pub fn flying(scene: &Scene, eye: Position, side: u32, on_frame: OnFrame<'a>) -> Onlooker<'a> {
+        Onlooker::with_eye(scene, None, eye, eye.metres(), side, on_frame)
+    }
+
+    fn with_eye(
+        scene: &Scene,
+        object: Option<ObjectId>,
+        position: Position,
+        eye: DVec3,
+        side: u32,
+        on_frame: OnFrame<'a>,
+    ) -> Onlooker<'a> {
         let all_round = Arc::new(AllRound::new(scene));
-        Some(Onlooker {
-            object,
-            position,
-            eye: position.metres() + DVec3::Y * eye_height,
-            scratch: all_round.scratch(side),
-            all_round,
-            culled: None,
-            on_frame,
-        })
+        let scratch = all_round.scratch(side);
+        Onlooker { object, position, eye, yaw: 0.0, scratch, all_round, culled: None, on_frame }
     }
 }
 
 impl Driver for Onlooker<'_> {
     fn poses(&mut self, _: &Session, now: LocalTime) -> Vec<Pose> {
-        let yaw = (now.seconds_since(LocalTime::ZERO) * TURN_RATE).rem_euclid(TAU);
-        vec![Pose { object: self.object, position: self.position, orientation: Orientation::from_yaw(yaw) }]
+        self.yaw = (now.seconds_since(LocalTime::ZERO) * TURN_RATE).rem_euclid(TAU);
+        let orientation = Orientation::from_yaw(self.yaw);
+        self.object.map(|object| Pose { object, position: self.position, orientation }).into_iter().collect()
     }
 
     fn cull(&mut self, ahead: Ahead) {
@@ -68,6 +81,9 @@ impl Driver for Onlooker<'_> {
     }
 
     fn frame_done(&mut self, session: &mut Session, report: &FrameReport) {
+        if self.object.is_none() {
+            session.set_eye(self.position, Orientation::from_yaw(self.yaw));
+        }
         (self.on_frame)(session, report);
     }
 }

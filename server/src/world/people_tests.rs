@@ -1,8 +1,8 @@
 //! Coming back, taking things, payloads, operators, eyes of one's own.
 
 use eyeline_protocol::{
-    ClientId, Command, Continuity, Hold, Interest, Rank, Reason, Resume, Role, RosterEntry, ServerControl, ServerRecord,
-    VERSION, Welcome,
+    ClientId, Command, Continuity, Hold, Interest, Rank, Reason, Resume, Role, RosterEntry, ServerControl,
+    ServerRecord, VERSION, Welcome,
 };
 
 use super::audit_tests::told;
@@ -20,7 +20,8 @@ struct Ranks {
 
 impl Gate for Ranks {
     fn admit(&mut self, token: &[u8], _: Caller, _: WorldTime) -> Result<Permit, Denial> {
-        let (Some(&rank), subject) = (token.first(), String::from_utf8_lossy(token.get(1..).unwrap_or_default())) else {
+        let (Some(&rank), subject) = (token.first(), String::from_utf8_lossy(token.get(1..).unwrap_or_default()))
+        else {
             return Err(Denial { refusal: Refusal::Token, reason: "a token is needed".into() });
         };
         if self.banned.iter().any(|banned| *banned == subject) {
@@ -43,7 +44,13 @@ struct Client {
 }
 
 /// What a hello brought: the welcome, if there was one, and what followed.
-fn hello(world: &mut World, number: u8, token: &[u8], role: Role, resume: Option<Resume>) -> (Client, Vec<ServerControl>) {
+fn hello(
+    world: &mut World,
+    number: u8,
+    token: &[u8],
+    role: Role,
+    resume: Option<Resume>,
+) -> (Client, Vec<ServerControl>) {
     let caller = Caller { address: None, resume: [number; 16] };
     let id = world.connect_from(world.committed_at(), caller);
     let hello = ClientControl::Hello {
@@ -140,7 +147,11 @@ fn a_lost_client_comes_back_to_its_avatar_and_is_told_only_what_it_missed() {
     // The avatar is its own again, whatever its datagrams' numbers were before.
     let at = world.objects()[avatar.index()].position;
     let position = Position { x: at.x + 10, ..at };
-    tell(&mut world, &mut again, &[ClientRecord::Pose { object: avatar, position, orientation: Orientation::default() }]);
+    tell(
+        &mut world,
+        &mut again,
+        &[ClientRecord::Pose { object: avatar, position, orientation: Orientation::default() }],
+    );
     tick(&mut world);
     assert_eq!(world.objects()[avatar.index()].position, position);
     assert_eq!((world.stats().resumed, world.avatars()), (1, 3));
@@ -277,12 +288,14 @@ fn who_takes_a_thing_moves_it_within_its_bound_and_those_who_held_one_hear_that_
     tick(&mut world);
     assert!(world.objects()[CHAIR.index()].issue > issue);
     let (records, _) = told(&mut world, b.id);
-    let is_news = |record: &ServerRecord| matches!(record, ServerRecord::Violation { object: CHAIR, present: true, .. });
+    let is_news =
+        |record: &ServerRecord| matches!(record, ServerRecord::Violation { object: CHAIR, present: true, .. });
     assert!(records.iter().any(is_news), "it held a bound of what stands: {records:?}");
     // The bound that is told from now on grows.
     tell(&mut world, &mut b, &[ClientRecord::Request { object: CHAIR, want: Want::Bound, reason: Reason::Violated }]);
     let (records, _) = told(&mut world, b.id);
-    let grows = |record: &ServerRecord| matches!(record, ServerRecord::Bound { object: CHAIR, tbv } if tbv.speed_steps > 0);
+    let grows =
+        |record: &ServerRecord| matches!(record, ServerRecord::Bound { object: CHAIR, tbv } if tbv.speed_steps > 0);
     assert!(records.iter().any(grows), "{records:?}");
     // A leap of 4 m takes as long as 1 m/s allow.
     let before = world.objects()[CHAIR.index()].position;
@@ -292,7 +305,11 @@ fn who_takes_a_thing_moves_it_within_its_bound_and_those_who_held_one_hear_that_
     let moved = world.objects()[CHAIR.index()].position.metres().distance(before.metres());
     assert!((0.03..=0.06).contains(&moved), "{moved} m in a tick");
     // Others' poses of it count for nothing.
-    tell(&mut world, &mut b, &[ClientRecord::Pose { object: CHAIR, position: before, orientation: Orientation::default() }]);
+    tell(
+        &mut world,
+        &mut b,
+        &[ClientRecord::Pose { object: CHAIR, position: before, orientation: Orientation::default() }],
+    );
     assert_eq!(world.stats().forbidden, 1);
     // Who leaves lets go of it.
     say(&mut world, &mut a, &ClientControl::Goodbye);

@@ -1,5 +1,7 @@
 //! Whole-system scenarios in virtual time. Each name is a claim.
 
+mod corpus;
+mod events;
 mod hostile;
 mod mutants;
 mod network;
