@@ -25,11 +25,9 @@ fn main() -> anyhow::Result<()> {
     match arguments[..] {
         ["record", file] => record(file, 1000, 0),
         ["record", file, clients] => record(file, clients.parse().context("how many clients?")?, 0),
-        ["record", file, clients, culling] => record(
-            file,
-            clients.parse().context("how many clients?")?,
-            culling.parse().context("how many that cull?")?,
-        ),
+        ["record", file, clients, culling] => {
+            record(file, clients.parse().context("how many clients?")?, culling.parse().context("how many that cull?")?)
+        }
         ["replay", file] => replay(file),
         _ => bail!("usage: world_cost record FILE [CLIENTS [CULLING]] | replay FILE"),
     }

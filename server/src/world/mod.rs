@@ -411,8 +411,7 @@ impl World {
                     session.refill(bytes_per_second, elapsed, self.config.tick, &mut self.stats);
                 }
                 let reckoning = self.config.dead_reckoning_px;
-                let reckoning =
-                    reckoning.and_then(|px| Some((px, session.lens(id, &self.objects, &self.classes)?)));
+                let reckoning = reckoning.and_then(|px| Some((px, session.lens(id, &self.objects, &self.classes)?)));
                 session.mark_changes(&self.objects, tick, reckoning);
                 session.expire(LocalTime::from_micros(now.micros()), &self.objects);
                 if session.has_something() {

@@ -21,7 +21,8 @@ impl Usage {
     pub fn of(pid: u32) -> anyhow::Result<Usage> {
         let read = |file: &str| {
             let path = format!("/proc/{pid}/{file}");
-            std::fs::read_to_string(&path).with_context(|| format!("cannot read {path}; loads are measured on Linux only"))
+            std::fs::read_to_string(&path)
+                .with_context(|| format!("cannot read {path}; loads are measured on Linux only"))
         };
         parse(&read("status")?, &read("stat")?).with_context(|| format!("/proc tells nothing of process {pid}"))
     }

@@ -25,7 +25,7 @@ use row::{EchoRow, LoadRow, SoakRow};
 #[derive(Args)]
 pub struct Load {
     /// How many people
-    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=16_384))]
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=4096))]
     clients: u32,
 
     /// How many of them cull for themselves; the others replay what was exposed along recorded ways
@@ -109,7 +109,8 @@ pub fn run(options: &Load) -> anyhow::Result<()> {
         return children::run(part, options);
     }
     let (began, started) = (Instant::now(), rfc3339(SystemTime::now()));
-    std::fs::create_dir_all(&options.out).with_context(|| format!("cannot make the folder {}", options.out.display()))?;
+    std::fs::create_dir_all(&options.out)
+        .with_context(|| format!("cannot make the folder {}", options.out.display()))?;
     let world = make_world(options)?;
     let mut run = Run::here("Eyeline load", Some(options.seed), started);
     run.notes = notes(options);
@@ -134,7 +135,8 @@ fn notes(options: &Load) -> Vec<String> {
              eyes and exposures through trackers of their own",
             options.cores.0, options.cores.1, options.culling, options.side
         ),
-        "all clients of the swarm share one socket, so the server sees one address; each has a connection of its own".into(),
+        "all clients of the swarm share one socket, so the server sees one address; each has a connection of its own"
+            .into(),
         format!("load average of the last minute before the first run: {average}"),
     ]
 }

@@ -252,7 +252,8 @@ impl Swarming {
         let row = options.out.join("swarm.json");
         let _ = std::fs::remove_file(&row);
         let path = |path: &Path| path.display().to_string();
-        let mut arguments = words(["swarm", "--late-ok", "--server-file", &path(&server.ready), "--world", &path(world)]);
+        let mut arguments =
+            words(["swarm", "--late-ok", "--server-file", &path(&server.ready), "--world", &path(world)]);
         for (name, value) in [
             ("--clients", clients.to_string()),
             ("--culling", options.culling.to_string()),
@@ -456,7 +457,8 @@ async fn play_echo(options: &Load) -> anyhow::Result<()> {
     let fingerprint: Fingerprint = fingerprint.parse()?;
     let times = (Duration::from_secs_f64(options.settle), Duration::from_secs_f64(options.seconds));
     let played =
-        echo::play(address.parse()?, fingerprint, options.clients, traffic, times, || crate::verbs::print(ALL_IN)).await?;
+        echo::play(address.parse()?, fingerprint, options.clients, traffic, times, || crate::verbs::print(ALL_IN))
+            .await?;
     let mut late: Vec<f64> = played.late.iter().map(|late| late.as_secs_f64() * 1e3).collect();
     late.sort_unstable_by(f64::total_cmp);
     let seen = Seen { late_p99_ms: at_share(&late, 0.99), ..Seen::default() };

@@ -67,10 +67,18 @@ impl LoadRow {
             Column::new("tick_p99_ms", "ms", "the same; one tick of a hundred took longer"),
             Column::new("tick_max_ms", "ms", "the same; the longest"),
             Column::new("half_tick_ms", "ms", "what the p99 is to stay below"),
-            Column::new("sent_p99_ms", "ms", "from when a tick was due until QUIC had sent all of it; one of a hundred took longer"),
+            Column::new(
+                "sent_p99_ms",
+                "ms",
+                "from when a tick was due until QUIC had sent all of it; one of a hundred took longer",
+            ),
             Column::new("ticks_missed", "", "ticks left out because the server came late"),
             Column::new("server_cpu_percent", "%", "of the server's core"),
-            Column::new("cpu_micros_a_client_tick", "µs", "the server's processor time for a client and tick, QUIC included"),
+            Column::new(
+                "cpu_micros_a_client_tick",
+                "µs",
+                "the server's processor time for a client and tick, QUIC included",
+            ),
             Column::new("rss_empty_kb", "KB", "the server's memory without clients"),
             Column::new("rss_full_kb", "KB", "with all of them, at the end"),
             Column::new("memory_kb_a_client", "KB", "the difference for each"),
@@ -136,7 +144,11 @@ impl EchoRow {
             Column::new("world_cpu_percent", "%", "of its core that the world's server took"),
             Column::new("echo_cpu_percent", "%", "of its core that the echo took"),
             Column::new("ratio", "", "the one over the other"),
-            Column::new("world_swarm_late_p99_ms", "ms", "how late the swarm's frames began; one of a hundred was later"),
+            Column::new(
+                "world_swarm_late_p99_ms",
+                "ms",
+                "how late the swarm's frames began; one of a hundred was later",
+            ),
             Column::new("echo_swarm_late_p99_ms", "ms", "the same for the echo's clients"),
             Column::new("void", "", "whether one of these makes the row mean nothing"),
         ]
@@ -152,9 +164,6 @@ pub struct SoakRow {
 
 impl SoakRow {
     pub fn columns() -> Vec<Column> {
-        vec![
-            Column::new("second", "s", "since all were in"),
-            Column::new("rss_kb", "KB", "the server's memory"),
-        ]
+        vec![Column::new("second", "s", "since all were in"), Column::new("rss_kb", "KB", "the server's memory")]
     }
 }
