@@ -5,9 +5,6 @@
 //! as many connections as clients, each saying so much at 20 Hz, staggered over the tick. Both use the settings of the real
 //! server and client.
 
-// These are drivers: they may read the clock and own sockets.
-#![expect(clippy::disallowed_methods, clippy::disallowed_types)]
-
 use std::cell::RefCell;
 use std::future::Future;
 use std::net::SocketAddr;
