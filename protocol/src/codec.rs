@@ -88,7 +88,13 @@ struct Append<'a>(&'a mut Vec<u8>);
 
 impl bincode::enc::write::Writer for Append<'_> {
     fn write(&mut self, bytes: &[u8]) -> Result<(), bincode::error::EncodeError> {
-        self.0.extend_from_slice(bytes);
+        // Nearly all that is written is a byte or two: copies of a known size are no calls.
+        match *bytes {
+            [byte] => self.0.push(byte),
+            [a, b] => self.0.extend_from_slice(&[a, b]),
+            [a, b, c, d] => self.0.extend_from_slice(&[a, b, c, d]),
+            _ => self.0.extend_from_slice(bytes),
+        }
         Ok(())
     }
 }
@@ -210,10 +216,18 @@ impl ControlReader {
     }
 }
 
+/// A record's bytes as a datagram carries them, in place of what `bytes` held: for what many are told alike.
+pub fn encode_record<R: Message>(record: &R, bytes: &mut Vec<u8>) {
+    bytes.clear();
+    encode_into(record, bytes);
+}
+
 /// Packs records behind a header until a datagram is full.
 pub struct DatagramWriter {
     bytes: Vec<u8>,
     limit: usize,
+    /// Bytes in front that are left free for the header.
+    room: usize,
 }
 
 impl DatagramWriter {
@@ -221,7 +235,15 @@ impl DatagramWriter {
     pub fn new<H: Message>(header: &H, limit: usize) -> DatagramWriter {
         let mut bytes = Vec::with_capacity(limit.min(DATAGRAM_BYTES_MAX));
         encode_into(header, &mut bytes);
-        DatagramWriter { bytes, limit: limit.min(DATAGRAM_BYTES_MAX) }
+        DatagramWriter { bytes, limit: limit.min(DATAGRAM_BYTES_MAX), room: 0 }
+    }
+
+    /// A datagram of at most `limit` bytes whose header is not known yet: that is said by [`DatagramWriter::finish_with`],
+    /// in at most `room` bytes, which go in however small the limit is.
+    pub fn before_header(room: usize, limit: usize) -> DatagramWriter {
+        let mut bytes = Vec::with_capacity(limit.min(DATAGRAM_BYTES_MAX).max(room));
+        bytes.resize(room, 0);
+        DatagramWriter { bytes, limit: limit.min(DATAGRAM_BYTES_MAX), room }
     }
 
     /// Appends `record` if it fits; says whether it did.
@@ -235,14 +257,34 @@ impl DatagramWriter {
         true
     }
 
-    /// Size so far, in bytes.
+    /// Appends a record's bytes ([`encode_record`]) if they fit; says whether they did.
+    pub fn push_encoded(&mut self, record: &[u8]) -> bool {
+        let fits = self.bytes.len() + record.len() <= self.limit;
+        if fits {
+            self.bytes.extend_from_slice(record);
+        }
+        fits
+    }
+
+    /// Size so far, in bytes, with all the room for the header.
     pub fn bytes(&self) -> usize {
         self.bytes.len()
     }
 
-    /// The datagram.
+    /// The datagram, of a writer that began with its header.
     pub fn finish(self) -> Vec<u8> {
+        debug_assert_eq!(self.room, 0, "the header is missing");
         self.bytes
+    }
+
+    /// The datagram, of a writer that began before its header was known.
+    pub fn finish_with<H: Message>(self, header: &H) -> Vec<u8> {
+        let records = &self.bytes[self.room..];
+        let mut bytes = Vec::with_capacity(self.bytes.len());
+        encode_into(header, &mut bytes);
+        debug_assert!(bytes.len() <= self.room, "a header of {} bytes in {}", bytes.len(), self.room);
+        bytes.extend_from_slice(records);
+        bytes
     }
 }
 

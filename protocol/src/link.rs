@@ -63,7 +63,7 @@ pub struct Link<T> {
     greatest_at: LocalTime,
     received_bits: u32,
     round_trip: Option<RoundTrip>,
-    /// Recent samples, for the greatest of the last 5 s.
+    /// Samples of the last 5 s that no later one has reached: descending, so that the first is the greatest.
     samples: VecDeque<(LocalTime, Duration)>,
 }
 
@@ -120,25 +120,35 @@ impl<T> Link<T> {
         // Acknowledgements are idempotent, so that even a stale datagram's are good. An acknowledgement of something
         // never sent is a lie and acknowledges nothing.
         if header.ack < self.next_seq {
-            let mut kept = VecDeque::with_capacity(self.in_flight.len());
-            for sent in self.in_flight.drain(..) {
+            // Most datagrams acknowledge the oldest that is under way, so nothing moves.
+            let mut index = 0;
+            while let Some(sent) = self.in_flight.get(index) {
                 let age = i64::from(header.ack) - i64::from(sent.seq);
+                if age < 0 {
+                    // All that follow are newer still.
+                    break;
+                }
                 let is_acked = age == 0 || (1..=32).contains(&age) && header.ack_bits >> (age - 1) & 1 == 1;
+                if !is_acked && age < i64::from(REORDER_MAX) {
+                    index += 1;
+                    continue;
+                }
+                let Some(sent) = self.in_flight.remove(index) else { break };
                 if is_acked {
                     if age == 0 {
                         let hold = Duration::from_micros(u64::from(header.hold_micros));
                         let sample = now.since(sent.at).saturating_sub(hold);
                         self.round_trip = Some(Self::smoothed(self.round_trip, sample));
+                        while self.samples.back().is_some_and(|&(_, earlier)| earlier <= sample) {
+                            self.samples.pop_back();
+                        }
                         self.samples.push_back((now, sample));
                     }
                     acked(sent.carried);
-                } else if age >= i64::from(REORDER_MAX) {
-                    lost(sent.carried);
                 } else {
-                    kept.push_back(sent);
+                    lost(sent.carried);
                 }
             }
-            self.in_flight = kept;
             while self.samples.front().is_some_and(|&(at, _)| now.since(at) > SAMPLE_WINDOW) {
                 self.samples.pop_front();
             }
@@ -201,12 +211,18 @@ impl<T> Link<T> {
 
     /// Greatest round trip of the last 5 s.
     pub fn round_trip_max(&self) -> Option<Duration> {
-        self.samples.iter().map(|&(_, sample)| sample).max()
+        self.samples.front().map(|&(_, sample)| sample)
     }
 
     /// When the newest datagram arrived; `None` before the first.
     pub fn heard_at(&self) -> Option<LocalTime> {
         (self.greatest > 0).then_some(self.greatest_at)
+    }
+
+    /// Whether a datagram of the peer with this number would be stale, had it not arrived yet: so old that it can't be told from
+    /// a duplicate.
+    pub fn is_past(&self, seq: u32) -> bool {
+        self.greatest.saturating_sub(seq) > 32
     }
 
     /// Number of the next datagram.
@@ -240,6 +256,21 @@ mod tests {
         a.receive(&header, at(50), |x| acked.push(x), |_| ());
         assert_eq!(acked, ['x']);
         assert_eq!(a.round_trip().map(|r| r.smoothed), Some(Duration::from_millis(20)));
+    }
+
+    #[test]
+    fn the_greatest_round_trip_is_of_the_last_five_seconds() {
+        let (mut a, mut b) = (Link::<()>::default(), Link::<()>::default());
+        let mut most = Vec::new();
+        for (i, millis) in [30, 10, 20, 5, 15].into_iter().enumerate() {
+            let sent = 2000 * i as i64;
+            let (header, _) = a.send((), at(sent));
+            b.receive(&header, at(sent), |()| (), |()| ());
+            let (header, _) = b.send((), at(sent));
+            a.receive(&header, at(sent + millis), |()| (), |()| ());
+            most.push(a.round_trip_max().unwrap().as_millis());
+        }
+        assert_eq!(most, [30, 30, 30, 20, 20]);
     }
 
     #[test]

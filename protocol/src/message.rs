@@ -343,6 +343,11 @@ pub struct ServerHeader {
     pub tick: WorldTime,
 }
 
+impl ServerHeader {
+    /// The most bytes that it takes: four numbers of 32 bits and two times, each with a byte that says how long it is.
+    pub const BYTES_MAX: usize = 4 * 5 + 2 * 9;
+}
+
 /// What the client asks an answer for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Want {

@@ -3,6 +3,7 @@
 pub mod bake;
 pub mod cull;
 pub mod demo;
+pub mod load;
 pub mod measure;
 pub mod motion;
 pub mod people;

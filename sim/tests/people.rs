@@ -168,7 +168,7 @@ fn somebody_moves_a_chair_and_somebody_else_sees_it_and_hears_what_is_said_of_it
             }
             if taken {
                 session.set_pose(chair, goal, Orientation::default());
-                if report.frame % 10 == 0 {
+                if report.frame.is_multiple_of(10) {
                     session.send_payload(chair, b"mine".to_vec());
                 }
             }
@@ -196,7 +196,8 @@ fn somebody_moves_a_chair_and_somebody_else_sees_it_and_hears_what_is_said_of_it
             run_headless(&mut mover, &mut moves, FRAME, first, end()),
             run_headless(&mut other, &mut looks, FRAME, other_first, end()),
         );
-        (a.unwrap(), b.unwrap());
+        a.unwrap();
+        b.unwrap();
         drop((moves, looks));
         assert!(taken, "it was not given the chair");
         let now_at = handle.with_world(|world| world.objects()[chair.index()].position);

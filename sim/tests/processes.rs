@@ -143,7 +143,18 @@ fn server_swarm_and_replay_are_three_processes() {
         .args(["--seconds", "6"])
         .spawn()
         .unwrap();
-    let swarm = ["swarm", "--server-file", server.file(), "--world", text(&world), "--clients", "4", "--seconds", "3"];
+    let swarm = [
+        "swarm",
+        "--late-ok",
+        "--server-file",
+        server.file(),
+        "--world",
+        text(&world),
+        "--clients",
+        "4",
+        "--seconds",
+        "3",
+    ];
     let swarm = sim(&swarm);
     let said = String::from_utf8_lossy(&swarm.stdout);
     assert!(swarm.status.success(), "{swarm:?}");
@@ -155,7 +166,8 @@ fn server_swarm_and_replay_are_three_processes() {
     // Once more with the world that the server sends, and the server named in words.
     let cache = TempDir::new().unwrap();
     let (address, fingerprint) = (server.address.to_string(), server.fingerprint.clone());
-    let swarm = ["swarm", "--connect", &address, "--fingerprint", &fingerprint, "--cache", text(cache.path())];
+    let swarm =
+        ["swarm", "--late-ok", "--connect", &address, "--fingerprint", &fingerprint, "--cache", text(cache.path())];
     let swarm = command(&swarm).args(["--clients", "2", "--seconds", "1"]).output().unwrap();
     assert!(swarm.status.success(), "{swarm:?}");
     assert!(String::from_utf8_lossy(&swarm.stdout).contains("2 people stand and look around"));
@@ -188,10 +200,11 @@ fn a_swarm_lives_on_through_delay_loss_and_a_second_of_darkness() {
     let first = lines.next().unwrap().unwrap();
     let relay: SocketAddr = first.strip_prefix("listening ").unwrap_or_else(|| panic!("{first}")).parse().unwrap();
     let (relay, cache) = (relay.to_string(), TempDir::new().unwrap());
-    let swarm = command(&["swarm", "--connect", &relay, "--fingerprint", &server.fingerprint, "--clients", "3"])
-        .args(["--seconds", "5", "--cache", text(cache.path())])
-        .output()
-        .unwrap();
+    let swarm =
+        command(&["swarm", "--late-ok", "--connect", &relay, "--fingerprint", &server.fingerprint, "--clients", "3"])
+            .args(["--seconds", "5", "--cache", text(cache.path())])
+            .output()
+            .unwrap();
     assert!(swarm.status.success(), "{swarm:?}");
     let said = String::from_utf8_lossy(&swarm.stdout).into_owned();
     assert!(said.contains("rtt_ms"), "{said}");
@@ -214,10 +227,11 @@ fn a_swarm_lives_on_through_delay_loss_and_a_second_of_darkness() {
 fn a_server_that_ends_tells_its_clients() {
     let server = Served::start(&["--rooms", "2x1", "--policy", "broadcast"]);
     let cache = TempDir::new().unwrap();
-    let mut swarm = command(&["swarm", "--server-file", server.file(), "--clients", "2", "--seconds", "30"])
-        .args(["--cache", text(cache.path())])
-        .spawn()
-        .unwrap();
+    let mut swarm =
+        command(&["swarm", "--late-ok", "--server-file", server.file(), "--clients", "2", "--seconds", "30"])
+            .args(["--cache", text(cache.path())])
+            .spawn()
+            .unwrap();
     // Its first line comes when its first client is in.
     let mut line = String::new();
     BufReader::new(swarm.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
@@ -234,7 +248,7 @@ fn wrong_servers_and_ports_are_named() {
     let server = Served::rooms();
     let address = server.address.to_string();
     let wrong = "00".repeat(32);
-    let said = failure(&["swarm", "--connect", &address, "--fingerprint", &wrong, "--clients", "1"]);
+    let said = failure(&["swarm", "--late-ok", "--connect", &address, "--fingerprint", &wrong, "--clients", "1"]);
     assert!(said.contains(&server.fingerprint) && said.contains(&wrong) && said.contains("pinned"), "{said}");
 
     let said = failure(&["serve", "--rooms", "1x1", "--listen", &address, "--identity", text(&files().join("taken"))]);
@@ -243,12 +257,12 @@ fn wrong_servers_and_ports_are_named() {
     // Bound and silent, so that nobody else answers there.
     let silent = UdpSocket::bind("127.0.0.1:0").unwrap();
     let nobody = silent.local_addr().unwrap().to_string();
-    let said = failure(&["swarm", "--connect", &nobody, "--fingerprint", &wrong, "--clients", "1"]);
+    let said = failure(&["swarm", "--late-ok", "--connect", &nobody, "--fingerprint", &wrong, "--clients", "1"]);
     assert!(said.contains(&nobody) && said.contains("nothing answers"), "{said}");
 
     let other = files().join("other.glb");
     sim(&["scene", "rooms", "--columns", "1", "--rows", "1", "--out", text(&other)]);
-    let said = failure(&["swarm", "--server-file", server.file(), "--world", text(&other)]);
+    let said = failure(&["swarm", "--late-ok", "--server-file", server.file(), "--world", text(&other)]);
     assert!(said.contains("other.glb") && said.contains("rooms 3×3"), "{said}");
     server.end("-INT");
 }
@@ -293,15 +307,15 @@ fn bad_numbers_are_usage_errors() {
         (&["serve", "--rooms", "3x3", "--policy", "all"], "all"),
         (&["serve"], "--world"),
         (&["swarm", "--clients", "3"], "--connect"),
-        (&["swarm", "--server-file", "x", "--clients", "0"], "1..=4096"),
-        (&["swarm", "--server-file", "x", "--seconds", "nan"], "0.1 to"),
-        (&["swarm", "--server-file", "x", "--sabotage", "all"], "drop-exposures"),
+        (&["swarm", "--late-ok", "--server-file", "x", "--clients", "0"], "1..=4096"),
+        (&["swarm", "--late-ok", "--server-file", "x", "--seconds", "nan"], "0.1 to"),
+        (&["swarm", "--late-ok", "--server-file", "x", "--sabotage", "all"], "drop-exposures"),
         (&["link", "--to", "127.0.0.1:9", "--delay", "25"], "25ms"),
         (&["link", "--to", "127.0.0.1:9", "--up-loss", "2"], "0 to 1"),
         (&["link", "--to", "127.0.0.1:9", "--rate", "0bit"], "2Mbit"),
         (&["link", "--to", "127.0.0.1:9", "--down-blackout", "1s"], "10s+500ms"),
         (&["link"], "--to"),
-        (&["swarm", "--connect", "localhost:1", "--fingerprint", "abc"], "64 hexadecimal digits"),
+        (&["swarm", "--late-ok", "--connect", "localhost:1", "--fingerprint", "abc"], "64 hexadecimal digits"),
         (&["replay", "--server-file", "x", "--trace", "x", "--trace-origin", "1,2"], "three numbers"),
     ] {
         let output = sim(args);
@@ -325,7 +339,7 @@ fn bad_numbers_are_usage_errors() {
 #[test]
 fn hostile_peers_harm_nobody_but_themselves() {
     let server = Served::rooms();
-    let swarm = command(&["swarm", "--server-file", server.file(), "--clients", "2", "--seconds", "4"])
+    let swarm = command(&["swarm", "--late-ok", "--server-file", server.file(), "--clients", "2", "--seconds", "4"])
         .args(["--world", text(&files().join("rooms.glb"))])
         .spawn()
         .unwrap();

@@ -36,6 +36,8 @@ pub struct FrameReport {
     pub track: Duration,
     /// How late the frame began.
     pub late: Duration,
+    /// Frames that were left out before this one because the process came late.
+    pub skipped: u64,
 }
 
 /// The person in front of a headless client.
@@ -105,7 +107,9 @@ pub async fn run_headless(
                 let cull = started.elapsed();
                 let started = Instant::now();
                 let time = driver.occlusion().and_then(|occlusion| connection.session.frame(ahead, occlusion, now));
-                let report = FrameReport { frame: summary.frames, began: now, time, cull, track: started.elapsed(), late };
+                let Summary { frames, skipped, .. } = summary;
+                let report =
+                    FrameReport { frame: frames, began: now, time, cull, track: started.elapsed(), late, skipped };
                 driver.frame_done(&mut connection.session, &report);
                 connection.flush().await?;
                 summary.frames += 1;

@@ -279,6 +279,7 @@ impl World {
     /// One datagram of a client. Requests in it are answered at once.
     pub fn handle_datagram(&mut self, id: SessionId, bytes: &[u8], now: WorldTime) {
         self.stats.datagrams_in += 1;
+        self.stats.datagram_bytes_in += bytes.len() as u64;
         let Some(session) = self.sessions.get_mut(&id).filter(|session| !session.is_refused) else { return };
         let (limits, size) = (&self.config.limits, session.size(self.objects.len()));
         let wanted = [(Limited::Datagrams, 1), (Limited::Bytes, bytes.len())];
@@ -463,8 +464,8 @@ impl World {
                 if let Some(bytes_per_second) = self.config.bytes_per_second {
                     session.refill(bytes_per_second, elapsed, self.config.tick, &mut self.stats);
                 }
-                let lens = session.lens(id, &self.objects, &self.classes);
-                let reckoning = self.config.dead_reckoning_px.zip(lens);
+                let reckoning = self.config.dead_reckoning_px;
+                let reckoning = reckoning.and_then(|px| Some((px, session.lens(id, &self.objects, &self.classes)?)));
                 session.mark_changes(&self.objects, tick, reckoning);
                 session.expire(LocalTime::from_micros(now.micros()), &self.objects);
                 if session.has_something() {
@@ -552,14 +553,18 @@ impl World {
         let (tick, config, anchor) = (self.tick, &self.config, self.anchor);
         let classes = &self.classes;
         let avatar_class = &classes[usize::from(AVATAR_CLASS.0)];
-        let watcher = session.watcher(id, &self.objects, avatar_class);
-        let region = eye_region(config, avatar_class.motion, session.round_trip_max());
+        // Asked for only where they decide something: a turn's angle is dear.
+        let watcher = self.audit.as_ref().and_then(|_| session.watcher(id, &self.objects, avatar_class));
+        let round_trip = session.round_trip_max();
         let mut audit = self.audit.as_mut().filter(|_| self.policy.tracking());
         let entitled = |objects: &[Object], object: ObjectId| match (&mut audit, &watcher) {
-            (Some(audit), Some(watcher)) => audit.entitled(objects, watcher, region, object),
+            (Some(audit), Some(watcher)) => {
+                let region = eye_region(config, avatar_class.motion, round_trip);
+                audit.entitled(objects, watcher, region, object)
+            }
             _ => true,
         };
-        let lens = session.lens(id, &self.objects, classes);
+        let lens = config.bytes_per_second.and_then(|_| session.lens(id, &self.objects, classes));
         let moment = Moment { now, tick, slot, room, reckons: config.dead_reckoning_px.is_some(), lens };
         session.build(moment, &mut self.objects, &mut self.stats, entitled, |object, known| {
             let motion = classes[usize::from(object.class.0)].motion;

@@ -3,7 +3,8 @@
 use std::f64::consts::{PI, TAU};
 
 use eyeline_protocol::{
-    Class, ClassId, Issue, MotionBound, ObjectId, Orientation, Position, QUANTUM_METRES, Tbv, Velocity, WorldTime,
+    Class, ClassId, Issue, MotionBound, ObjectId, Orientation, Position, QUANTUM_METRES, ServerRecord, Tbv, Velocity,
+    WorldTime, codec,
 };
 use fixedbitset::FixedBitSet;
 use glam::DVec3;
@@ -57,6 +58,8 @@ pub struct Object {
     turn_allowance: f64,
     /// Metres a second of the last tick.
     moved: DVec3,
+    /// The record of its state, and the tick of that: all who are told of it in a tick are told the same bytes.
+    state_record: (WorldTime, Vec<u8>),
 }
 
 /// What came of a commit.
@@ -98,6 +101,7 @@ impl Object {
             allowance: 0.0,
             turn_allowance: 0.0,
             moved: DVec3::ZERO,
+            state_record: (WorldTime::MIN, Vec::new()),
         }
     }
 
@@ -248,6 +252,20 @@ impl Object {
         let tbv = if config.blur > 0.0 { self.issued.nested(tbv) } else { tbv };
         debug_assert!(tbv.contains(self.position.metres(), tick), "a bound must contain its object when it is issued");
         tbv
+    }
+
+    /// Its state of `tick`, the newest, as a datagram carries it; `reckons` is whether states say how they go on, the same for
+    /// all.
+    pub(super) fn state_record(&mut self, object: ObjectId, tick: WorldTime, reckons: bool) -> &[u8] {
+        let (of, bytes) = &mut self.state_record;
+        if *of != tick {
+            let velocity = if reckons { self.velocity } else { Velocity::ZERO };
+            let Object { position, orientation, .. } = *self;
+            let record = ServerRecord::State { object, position, orientation, velocity };
+            codec::encode_record(&record, bytes);
+            *of = tick;
+        }
+        bytes
     }
 
     /// How it is told of to a holder from now on.

@@ -419,9 +419,11 @@ impl Session {
 
     /// Makes due what has changed since it was sent last, or, by dead reckoning, what is drawn wrong by more than `pixels`.
     pub fn mark_changes(&mut self, objects: &[Object], tick: WorldTime, reckoning: Option<(f64, Lens<'_>)>) {
-        for (&id, subscription) in &self.subscriptions {
+        let Session { subscriptions, states_due, link, .. } = self;
+        subscriptions.retain(|&id, subscription| {
             if !subscription.active {
-                continue;
+                // What was declined is remembered until no older question about it can arrive any more.
+                return subscription.asked_seq == 0 || !link.is_past(subscription.asked_seq - 1);
             }
             let object = &objects[id.index()];
             let is_due = match &reckoning {
@@ -434,9 +436,10 @@ impl Session {
                 _ => object.changed_at > subscription.sent,
             };
             if is_due {
-                self.states_due.insert(id);
+                states_due.insert(id);
             }
-        }
+            true
+        });
     }
 
     /// Lets another `elapsed` seconds' bytes go out, and counts what had to wait for them.
@@ -499,17 +502,10 @@ impl Session {
         }
         let owed_ack = std::mem::take(&mut self.owes_ack);
         let local = LocalTime::from_micros(now.micros());
-        let mut carried = Vec::new();
-        let mut places = 0;
-        let mut records = Vec::new();
-        // The header's size does not depend on what it carries beyond a few bytes; records are first gathered, then
-        // the link is told what goes.
-        let probe = ServerHeader {
-            link: LinkHeader { seq: u32::MAX, ack: u32::MAX, ack_bits: u32::MAX, hold_micros: u32::MAX },
-            sent: WorldTime::MAX,
-            tick: WorldTime::MAX,
-        };
-        let mut writer = DatagramWriter::new(&probe, limit);
+        let mut carried = Vec::with_capacity(self.states_due.len() + self.hidden_due.len());
+        let mut records = 0;
+        // Records are gathered first, then the link is told what goes, then the header is known.
+        let mut writer = DatagramWriter::before_header(ServerHeader::BYTES_MAX, limit);
         let mut full = false;
         for (&object, violation) in &mut self.violations {
             if full || !violation.is_due(now, timeout) {
@@ -521,7 +517,8 @@ impl Session {
             full = !writer.push(&record);
             if !full {
                 violation.sent_at = Some(now);
-                records.push(record);
+                stats.out.violations += 1;
+                records += 1;
             }
         }
         while let Some(&id) = self.hidden_due.first() {
@@ -531,7 +528,8 @@ impl Session {
             }
             self.hidden_due.pop_first();
             carried.push((id, WITHDRAWN));
-            records.push(record);
+            stats.out.hidden += 1;
+            records += 1;
         }
         // Without a cap all goes, in any order.
         let mut order = if self.budget.is_some() { Some(self.by_urgency(objects, &moment)) } else { None };
@@ -540,12 +538,11 @@ impl Session {
             Some(_) => None,
             None => self.states_due.first().copied(),
         } {
+            self.states_due.remove(&id);
             if !objects[id.index()].present || !objects[id.index()].alive {
-                self.states_due.remove(&id);
                 continue;
             }
             if !entitled(objects, id) {
-                self.states_due.remove(&id);
                 // It stays due, so that it is told as soon as it is in sight; of its absence one bound speaks.
                 let is_told = self.subscriptions.get_mut(&id).is_some_and(|subscription| {
                     subscription.active && std::mem::replace(&mut subscription.withheld, true)
@@ -556,7 +553,10 @@ impl Session {
                     if self.is_subscribed(id) {
                         let record = ServerRecord::Hidden { object: id };
                         match writer.push(&record) {
-                            true => records.push(record),
+                            true => {
+                                stats.out.hidden += 1;
+                                records += 1;
+                            }
                             false => drop(self.hidden_due.insert(id)),
                         }
                     }
@@ -566,26 +566,26 @@ impl Session {
                 continue;
             }
             let object = &mut objects[id.index()];
-            let velocity = if moment.reckons { object.velocity } else { Velocity::ZERO };
-            let Object { position, orientation, .. } = *object;
-            let record = ServerRecord::State { object: id, position, orientation, velocity };
-            if !writer.push(&record) {
+            if !writer.push_encoded(object.state_record(id, tick, moment.reckons)) {
+                self.states_due.insert(id);
                 break;
             }
-            self.states_due.remove(&id);
             object.note_holder(slot);
             self.known.insert(id, Known::new(object.position, tick, object.issue));
-            places += u64::from(!self.subscriptions.get(&id).is_some_and(|subscription| subscription.active));
+            let mut is_told_on = false;
             if let Some(subscription) = self.subscriptions.get_mut(&id) {
+                is_told_on = subscription.active;
                 subscription.sent = tick;
                 subscription.withheld = false;
                 if moment.reckons {
+                    let Object { position, orientation, velocity, .. } = *object;
                     let prediction = Prediction { position, velocity, orientation, tick };
                     subscription.held.push(Held { prediction, issue: object.issue });
                 }
                 carried.push((id, tick));
             }
-            records.push(record);
+            *(if is_told_on { &mut stats.out.states } else { &mut stats.out.places }) += 1;
+            records += 1;
         }
         while let Some(&id) = self.bounds_due.first() {
             let object = &mut objects[id.index()];
@@ -600,32 +600,24 @@ impl Session {
             }
             self.bounds_due.pop_first();
             object.note_holder(slot);
-            records.push(record);
+            stats.out.bounds += 1;
+            records += 1;
         }
-        if records.is_empty() && !owed_ack {
+        if records == 0 && !owed_ack {
             // Nothing that is due fits: to go on would be to go on for ever.
             return None;
         }
-        for record in &records {
-            stats.out.count_server(record);
-        }
-        stats.out.states -= places;
-        stats.out.places += places;
         let (link, lost) = self.link.send(carried, local);
         if let Some(lost) = lost {
             stats.datagrams_lost += 1;
             // Not at once: who acknowledges nothing would have us build without end.
             self.given_up.extend(lost);
         }
-        let mut writer = DatagramWriter::new(&ServerHeader { link, sent: now, tick }, limit);
-        for record in &records {
-            let fits = writer.push(record);
-            debug_assert!(fits, "the probe's header is the longest there is");
-        }
+        let datagram = writer.finish_with(&ServerHeader { link, sent: now, tick });
         if let Some(budget) = &mut self.budget {
-            *budget -= writer.bytes() as f64;
+            *budget -= datagram.len() as f64;
         }
-        Some(writer.finish())
+        Some(datagram)
     }
 }
 

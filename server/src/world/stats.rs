@@ -133,6 +133,8 @@ pub struct WorldStats {
     pub out: MessageCounts,
     /// Datagrams received.
     pub datagrams_in: u64,
+    /// Their bytes.
+    pub datagram_bytes_in: u64,
     /// Datagrams sent.
     pub datagrams_out: u64,
     /// Their payload, bytes, QUIC and UDP apart.

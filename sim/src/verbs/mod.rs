@@ -3,6 +3,7 @@
 mod bake;
 mod cull;
 mod link;
+mod load;
 mod measure;
 mod place;
 mod replay;
@@ -45,6 +46,9 @@ pub enum Verb {
     /// Fill a server with people: many headless clients in one process
     #[command(after_long_help = swarm::EXAMPLES)]
     Swarm(swarm::Swarm),
+    /// How many people a server carries: server and swarm on a core each, against half a tick, memory a client, and bare QUIC
+    #[command(after_long_help = load::EXAMPLES)]
+    Load(Box<load::Load>),
     /// Fill a server with people who really walked: a recorded crowd behind one connection
     #[command(after_long_help = replay::EXAMPLES)]
     Replay(replay::Replay),
@@ -67,6 +71,7 @@ pub fn run(verb: &Verb) -> anyhow::Result<()> {
         Verb::Scene(options) => scene::run(options),
         Verb::Serve(options) => serve::run(options),
         Verb::Swarm(options) => swarm::run(options),
+        Verb::Load(options) => load::run(options),
         Verb::Replay(options) => replay::run(options),
         Verb::Link(options) => link::run(options),
         Verb::Soak(options) => soak::run(options),

@@ -3,24 +3,29 @@
 // This is a driver: it may read the clock.
 #![expect(clippy::disallowed_methods)]
 
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Args;
 use eyeline_client::app::{Target, WorldOptions, number};
-use eyeline_client::net::{Connection, Endpoint, FrameReport, LocalClock, Summary, run_headless};
+use eyeline_client::net::{Connection, Driver, Endpoint, FrameReport, LocalClock, run_headless};
 use eyeline_client::session::{Session, SessionConfig, SessionStats};
 use eyeline_client::tracking::{Sabotage, TrackerConfig};
 use eyeline_protocol::Welcome;
 use eyeline_server::app::shutdown_signal;
 use eyeline_server::spec::AvatarSpec;
+use eyeline_sim::load::process::pin_to;
+use eyeline_sim::load::ways::{Replayer, WayRules, Ways};
 use eyeline_sim::motion::WalkerPose;
 use eyeline_sim::people::{Ground, Person};
 use eyeline_sim::report::{Column, Progress, Row, table};
 use eyeline_sim::scene::plan::RoomPlan;
 use eyeline_visibility::{Aabb, AllRound, DynamicOctree};
 use glam::DVec3;
+use rand::RngExt;
 use serde::Serialize;
 use tokio::sync::watch;
 use tokio::task::{JoinSet, LocalSet};
@@ -34,12 +39,21 @@ pub struct Swarm {
     #[command(flatten)]
     world: WorldOptions,
 
+    /// How many of them cull for themselves; the others replay ways and exposures that are recorded before they come in,
+    /// through trackers of their own. Needs rooms to walk in [default: all]
+    #[arg(long, value_name = "N")]
+    culling: Option<u32>,
+
     /// How many people, each with a client of their own. With --world FILE and NAME.rooms.json beside it they walk from
     /// room to room; else they stand and look around
     #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=4096))]
     clients: u32,
 
-    /// How long to stay once all are in, seconds
+    /// How long to wait once all are in, seconds: who joins makes work for everybody, and that is not what is measured
+    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, value_parser = number(0.0..=1e6, "s"))]
+    settle: f64,
+
+    /// How long to stay and measure then, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 20.0, value_parser = number(0.1..=1e6, "s"))]
     seconds: f64,
 
@@ -55,6 +69,23 @@ pub struct Swarm {
     #[arg(long, value_name = "HZ", default_value_t = 20.0, value_parser = number(0.1..=240.0, "Hz"))]
     frame_hz: f64,
 
+    /// Every second so many of those who replay leave and join anew, so many come back over another connection, and so many are
+    /// put elsewhere
+    #[arg(long, value_name = "N", default_value_t = 0.0, value_parser = number(0.0..=1000.0, "1/s"))]
+    churn: f64,
+
+    /// Keep to this core, counted from 0 [default: any]
+    #[arg(long, value_name = "CORE")]
+    core: Option<usize>,
+
+    /// Write the summary's row into this file as JSON, for `load`
+    #[arg(long, value_name = "FILE", hide = true)]
+    row: Option<PathBuf>,
+
+    /// Exit with 0 even if frames began too late for the numbers to mean anything
+    #[arg(long)]
+    late_ok: bool,
+
     /// Break the tracker on purpose: drop-exposures, late-one-tick or freeze-clock
     #[arg(long, value_name = "HOW")]
     sabotage: Option<Sabotage>,
@@ -63,23 +94,87 @@ pub struct Swarm {
 pub const EXAMPLES: &str = "Examples:
   eyeline-sim swarm --server-file out/ready.txt --world out/rooms.glb
   eyeline-sim swarm --connect 127.0.0.1:4433 --fingerprint 11c4…d6b9 --clients 100 --seconds 60
-  eyeline-sim swarm --server-file out/ready.txt --clients 4 --side 256 --sabotage drop-exposures";
+  eyeline-sim swarm --server-file out/ready.txt --world out/rooms.glb --clients 1000 --culling 32 --seconds 60
+  eyeline-sim swarm --server-file out/ready.txt --clients 4 --side 256 --sabotage drop-exposures
+
+Exits with 1 if frames began too late for the numbers to mean anything.";
 
 /// A run whose frames came later than this in one of a hundred cases measured the machine, not the clients.
-const LATE_MAX: Duration = Duration::from_millis(5);
+pub const LATE_MAX: Duration = Duration::from_millis(5);
 
-/// What the clients' frames add up to.
+/// Said when the measurement begins, for `load`.
+pub const ALL_IN: &str = "all are in\n";
+
+/// What the clients' frames add up to, from the moment when all are in and have settled.
 #[derive(Default)]
 struct Frames {
+    is_measured: bool,
     late: Vec<Duration>,
     cull: Duration,
     track: Duration,
+    /// Of each client, by its number: what it had counted, and the frames that it had left out, at its first measured frame
+    /// and at its newest.
+    counted: BTreeMap<usize, [(SessionStats, u64); 2]>,
 }
+
+impl Frames {
+    fn note(&mut self, number: usize, session: &Session, report: &FrameReport) {
+        if !self.is_measured {
+            return;
+        }
+        self.late.push(report.late);
+        self.cull += report.cull;
+        self.track += report.track;
+        let now = (*session.stats(), report.skipped);
+        let counted = self.counted.entry(number).or_insert([now, now]);
+        if counted[1].0.records_out > now.0.records_out || counted[1].1 > now.1 {
+            // Another session, or another run of it: what the one before counted goes with it.
+            counted[0] = now;
+        }
+        counted[1] = now;
+    }
+
+    /// The sum of what a counter gained.
+    fn gained(&self, counter: impl Fn(&(SessionStats, u64)) -> u64) -> u64 {
+        self.counted.values().map(|[first, last]| counter(last) - counter(first)).sum()
+    }
+}
+
+/// What somebody does who does not simply stay.
+#[derive(Clone, Copy, Debug)]
+enum Change {
+    Rejoin,
+    Resume,
+    Teleport,
+}
+
+/// Who changes when, as chance has it.
+struct Churn {
+    chance: rand_pcg::Pcg64,
+    /// Mean time between two changes of one client, seconds.
+    mean_s: f64,
+}
+
+impl Churn {
+    /// For one of `clients` that make `rate` changes of each kind a second; `None` for no changes.
+    fn new(rate: f64, seed: u64, number: usize, clients: usize) -> Option<Churn> {
+        let chance = rand_pcg::Pcg64::new(u128::from(seed), number as u128);
+        (rate > 0.0 && clients > 0).then(|| Churn { chance, mean_s: clients as f64 / (3.0 * rate) })
+    }
+
+    /// For how long to stay, and what to do then.
+    fn next(&mut self) -> (Duration, Change) {
+        let stay_s = self.chance.random_range(0.0..2.0 * self.mean_s);
+        let change = [Change::Rejoin, Change::Resume, Change::Teleport][self.chance.random_range(0..3)];
+        (Duration::from_secs_f64(stay_s), change)
+    }
+}
+
+/// Longer than any run.
+const FOREVER: Duration = Duration::from_secs(1 << 30);
 
 /// What became of one client.
 struct Outcome {
-    summary: Summary,
-    stats: SessionStats,
     round_trip: Option<Duration>,
     /// Visible, hidden and asked for at the end.
     counts: (usize, usize, usize),
@@ -123,6 +218,9 @@ fn columns() -> Vec<Column> {
 
 /// Runs a swarm.
 pub fn run(options: &Swarm) -> anyhow::Result<()> {
+    if let Some(core) = options.core {
+        pin_to(core)?;
+    }
     let plan = match &options.world.world {
         Some(path) => RoomPlan::beside(path)?.map(Arc::new),
         None => None,
@@ -137,10 +235,11 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
     let (address, fingerprint) = options.target.resolve()?;
     let token = options.target.token()?;
     let period = Duration::from_secs_f64(1.0 / options.frame_hz);
-    let endpoint = Endpoint::new(fingerprint, address)?;
+    let endpoint = Arc::new(Endpoint::new(fingerprint, address)?);
     let clock = LocalClock::default();
-    let session = |number: u32, bounds: Aabb| {
-        let tracker = TrackerConfig::default().with_frame(period).with_sabotage(options.sabotage);
+    let sabotage = options.sabotage;
+    let session = move |number: u32, bounds: Aabb| {
+        let tracker = TrackerConfig::default().with_frame(period).with_sabotage(sabotage);
         let config = SessionConfig::default()
             .with_name(format!("swarm {number}"))
             .with_token(token.clone())
@@ -160,50 +259,91 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
         "{} at {address}: policy {}, {} objects; {} people {how}\n",
         welcome.world.name, welcome.policy, welcome.objects, options.clients
     ));
-    let mut connections = vec![first];
-    for number in 1..options.clients {
-        tokio::select! {
-            connection = endpoint.connect(address, session(number, bounds), clock) => {
-                connections.push(connection.with_context(|| format!("client {number}"))?);
-            }
-            () = &mut shutdown => anyhow::bail!("ended before all clients were in"),
-        }
-    }
-
+    let culling = options.culling.map_or(options.clients, |culling| culling.min(options.clients)) as usize;
+    let replaying = options.clients as usize - culling;
+    let ways = match replaying {
+        0 => None,
+        _ => Some(Arc::new(record(&ground, bounds, options, period).await?)),
+    };
     let frames = Arc::new(Mutex::new(Frames::default()));
     let (stop, stopped) = watch::channel(false);
     let mut clients = JoinSet::new();
     let begin = clock.now() + Duration::from_millis(50);
-    let began = Instant::now();
-    for (number, connection) in connections.into_iter().enumerate() {
+    // Each plays from the moment when it is in: who waited for the last would not read what it is told of those who join.
+    let mut play = |number: usize, mut connection: Connection| {
         // Frames of different clients are spread evenly, so that none waits for another.
-        let due = begin + period.mul_f64(number as f64 / f64::from(options.clients));
+        let phase = begin + period.mul_f64(number as f64 / f64::from(options.clients));
         let (frames, mut stopped) = (frames.clone(), stopped.clone());
-        let hook = move |_: &mut Session, report: &FrameReport, _: &WalkerPose| {
-            let mut frames = frames.lock().unwrap_or_else(PoisonError::into_inner);
-            frames.late.push(report.late);
-            frames.cull += report.cull;
-            frames.track += report.track;
-        };
-        let mut person = Person::on(&ground, options.seed, number, options.side, Some(Box::new(hook)));
-        clients.spawn_local(async move {
-            let mut connection: Connection = connection;
-            let end = async {
-                // The sender outlives every client.
-                let _ = stopped.wait_for(|&stop| stop).await;
+        let (endpoint, session) = (endpoint.clone(), session.clone());
+        let (ways, ground, seed, side) = (ways.clone(), ground.clone(), options.seed, options.side);
+        let mut churn = Churn::new(options.churn, seed, number, replaying).filter(|_| number >= culling);
+        let driver = move |turn: usize| -> Box<dyn Driver> {
+            let frames = frames.clone();
+            let hook = move |session: &mut Session, report: &FrameReport, _: &WalkerPose| {
+                frames.lock().unwrap_or_else(PoisonError::into_inner).note(number, session, report);
             };
-            let ran = run_headless(&mut connection, &mut person, period, due, end).await;
-            let ran = ran.with_context(|| format!("client {number}"));
-            let outcome = ran.map(|summary| Outcome {
-                summary,
-                stats: *connection.session.stats(),
+            match (&ways, number.checked_sub(culling)) {
+                (Some(ways), Some(number)) => {
+                    Box::new(Replayer::new(ways.clone(), number + 37 * turn, replaying, Some(Box::new(hook))))
+                }
+                _ => Box::new(Person::on(&ground, seed, number, side, Some(Box::new(hook)))),
+            }
+        };
+        clients.spawn_local(async move {
+            let mut turn = 0;
+            let mut player = driver(turn);
+            loop {
+                let passed = clock.now().since(phase).as_secs_f64() / period.as_secs_f64();
+                let due = phase + period.mul_f64(passed.ceil());
+                let change = churn.as_mut().map(Churn::next);
+                let stay = change.map_or(FOREVER, |(stay, _)| stay);
+                let end = async {
+                    tokio::select! {
+                        // The sender outlives every client.
+                        _ = stopped.wait_for(|&stop| stop) => {}
+                        () = tokio::time::sleep(stay) => {}
+                    }
+                };
+                let ran = run_headless(&mut connection, player.as_mut(), period, due, end).await;
+                ran.with_context(|| format!("client {number}"))?;
+                let Some((_, change)) = change.filter(|_| !*stopped.borrow()) else { break };
+                turn += 1;
+                match change {
+                    // Where another way begins is somewhere else.
+                    Change::Teleport => player = driver(turn),
+                    Change::Resume => endpoint
+                        .resume(address, &mut connection)
+                        .await
+                        .with_context(|| format!("client {number} comes back"))?,
+                    Change::Rejoin => {
+                        connection.close().await;
+                        let fresh = endpoint.connect(address, session(number as u32, bounds), clock).await;
+                        connection = fresh.with_context(|| format!("client {number} joins anew"))?;
+                        player = driver(turn);
+                    }
+                }
+            }
+            let outcome = Outcome {
                 round_trip: connection.session.round_trip().map(|(smoothed, _)| smoothed),
                 counts: connection.session.tracker().map_or((0, 0, 0), |tracker| tracker.counts()),
-            });
+            };
             connection.close().await;
-            outcome
+            Ok(outcome)
         });
+    };
+    play(0, first);
+    for number in 1..options.clients {
+        tokio::select! {
+            connection = endpoint.connect(address, session(number, bounds), clock) => {
+                play(number as usize, connection.with_context(|| format!("client {number}"))?);
+            }
+            () = &mut shutdown => anyhow::bail!("ended before all clients were in"),
+        }
     }
+    tokio::time::sleep(Duration::from_secs_f64(options.settle)).await;
+    let began = Instant::now();
+    frames.lock().unwrap_or_else(PoisonError::into_inner).is_measured = true;
+    super::print(ALL_IN);
 
     let end = Duration::from_secs_f64(options.seconds);
     let mut to_come = options.seconds.ceil() as u64;
@@ -233,6 +373,7 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
         }
     }
     let elapsed = began.elapsed().as_secs_f64();
+    let measured = std::mem::take(&mut *frames.lock().unwrap_or_else(PoisonError::into_inner));
     progress.finish();
     let _ = stop.send(true);
     while let Some(outcome) = clients.join_next().await {
@@ -242,10 +383,37 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
         }
     }
     endpoint.wait_idle().await;
-    let frames = std::mem::take(&mut *frames.lock().unwrap_or_else(PoisonError::into_inner));
-    super::print(&summary(&outcomes, frames, elapsed)?);
-    failed.map_or(Ok(()), Err)
+    let (text, void) = summary(&outcomes, measured, elapsed, options.row.as_deref())?;
+    super::print(&text);
+    match (failed, void) {
+        (Some(error), _) => Err(error),
+        (None, Some(void)) if !options.late_ok => anyhow::bail!(void),
+        (None, Some(void)) => {
+            super::print(&format!("{void}\n"));
+            Ok(())
+        }
+        (None, None) => Ok(()),
+    }
 }
+
+/// Records the ways of those who do not cull. Takes a while, in which the first client must be heard of.
+async fn record(ground: &Ground, bounds: Aabb, options: &Swarm, period: Duration) -> anyhow::Result<Ways> {
+    let ways = WAYS.min(options.clients as usize);
+    let rules = WayRules { ways, frames: WAY_FRAMES, period, side: options.side, seed: options.seed };
+    let (ground, began) = (ground.clone(), Instant::now());
+    let ways = tokio::task::spawn_blocking(move || Ways::record(&ground, bounds, &rules)).await??;
+    super::print(&format!(
+        "recorded {} ways of {WAY_FRAMES} frames in {:.1} s, {} MB\n",
+        rules.ways,
+        began.elapsed().as_secs_f64(),
+        ways.bytes() >> 20
+    ));
+    Ok(ways)
+}
+
+/// Ways that are recorded, and frames of each: 32 times 10 s at 20 Hz, which takes some ten seconds.
+const WAYS: usize = 32;
+const WAY_FRAMES: usize = 200;
 
 /// What people must know, from what the server says of avatars.
 fn ground(welcome: &Welcome, plan: Option<Arc<RoomPlan>>, all_round: AllRound) -> Ground {
@@ -259,7 +427,13 @@ fn ground(welcome: &Welcome, plan: Option<Arc<RoomPlan>>, all_round: AllRound) -
     Ground { plan, avatar, anchor: DVec3::from_array(welcome.anchor), all_round: Arc::new(all_round) }
 }
 
-fn summary(outcomes: &[Outcome], mut frames: Frames, seconds: f64) -> anyhow::Result<String> {
+/// The run's row for people, and why it is void, if it is.
+fn summary(
+    outcomes: &[Outcome],
+    mut frames: Frames,
+    seconds: f64,
+    file: Option<&Path>,
+) -> anyhow::Result<(String, Option<String>)> {
     frames.late.sort_unstable();
     let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
     let count = frames.late.len();
@@ -268,31 +442,35 @@ fn summary(outcomes: &[Outcome], mut frames: Frames, seconds: f64) -> anyhow::Re
         frames.late.get(index).copied().unwrap_or_default()
     };
     let clients = outcomes.len();
-    let sum = |f: &dyn Fn(&Outcome) -> u64| outcomes.iter().map(f).sum::<u64>();
+    let sum = |f: &dyn Fn(&Outcome) -> usize| outcomes.iter().map(f).sum::<usize>() as u64;
     let each = |total: u64| total as f64 / clients.max(1) as f64;
     let rtts: Vec<Duration> = outcomes.iter().filter_map(|outcome| outcome.round_trip).collect();
     let row = SwarmRow {
         clients,
         seconds,
-        frames: sum(&|outcome| outcome.summary.frames),
-        skipped: sum(&|outcome| outcome.summary.skipped),
+        frames: count as u64,
+        skipped: frames.gained(|(_, skipped)| *skipped),
         late_p50_ms: ms(late(0.5)),
         late_p99_ms: ms(late(0.99)),
         client_frame_ms: ms(frames.cull + frames.track) / count.max(1) as f64,
         cull_ms: ms(frames.cull) / count.max(1) as f64,
-        messages_in_per_client_s: each(sum(&|outcome| outcome.stats.records_in)) / seconds,
-        messages_out_per_client_s: each(sum(&|outcome| outcome.stats.records_out)) / seconds,
-        visible_mean: each(sum(&|outcome| outcome.counts.0 as u64)),
-        hidden_mean: each(sum(&|outcome| outcome.counts.1 as u64)),
+        messages_in_per_client_s: each(frames.gained(|(stats, _)| stats.records_in)) / seconds,
+        messages_out_per_client_s: each(frames.gained(|(stats, _)| stats.records_out)) / seconds,
+        visible_mean: each(sum(&|outcome| outcome.counts.0)),
+        hidden_mean: each(sum(&|outcome| outcome.counts.1)),
         rtt_ms: (!rtts.is_empty()).then(|| ms(rtts.iter().sum::<Duration>()) / rtts.len() as f64),
     };
-    let mut text = table(&[Row::of(&row)?], &columns());
-    if late(0.99) > LATE_MAX {
-        let (is, most) = (ms(late(0.99)), ms(LATE_MAX));
-        text += &format!(
-            "void: one frame of a hundred began {is:.1} ms late or more, above {most} ms: the machine was too busy for \
-             these numbers to mean anything; run fewer clients, or a release build\n"
-        );
+    if let Some(file) = file {
+        std::fs::write(file, serde_json::to_string(&row)?)
+            .with_context(|| format!("cannot write {}", file.display()))?;
     }
-    Ok(text)
+    let text = table(&[Row::of(&row)?], &columns());
+    let void = (late(0.99) > LATE_MAX).then(|| {
+        let (is, most) = (ms(late(0.99)), ms(LATE_MAX));
+        format!(
+            "void: one frame of a hundred began {is:.1} ms late or more, above {most} ms: the machine was too busy for \
+             these numbers to mean anything; run fewer clients, or a release build"
+        )
+    });
+    Ok((text, void))
 }

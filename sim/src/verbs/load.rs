@@ -1,0 +1,305 @@
+//! `load`: how many people one server carries.
+
+// This is a driver: it may read the clock.
+#![expect(clippy::disallowed_methods)]
+
+mod children;
+mod row;
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime};
+
+use anyhow::Context as _;
+use clap::Args;
+use eyeline_server::app::number;
+use eyeline_sim::load::echo::Traffic;
+use eyeline_sim::load::process::load_average;
+use eyeline_sim::report::{Report, Run, rfc3339, table};
+use eyeline_sim::scene::plan::RoomsRules;
+use eyeline_sim::scene::rooms;
+
+use children::{Child, Measured, Swarming};
+use row::{EchoRow, LoadRow, SoakRow};
+
+/// Options of `load`.
+#[derive(Args)]
+pub struct Load {
+    /// How many people
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    clients: u32,
+
+    /// How many of them cull for themselves; the others replay what was exposed along recorded ways
+    #[arg(long, value_name = "N", default_value_t = 32)]
+    culling: u32,
+
+    /// Pixels a side of the images of those who cull
+    #[arg(long, value_name = "PIXELS", default_value_t = 64, value_parser = clap::value_parser!(u32).range(8..=1024))]
+    side: u32,
+
+    /// How long to measure, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = number(2.0..=1e6, "s"))]
+    seconds: f64,
+
+    /// How long to wait once all are in, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = number(0.0..=1e6, "s"))]
+    settle: f64,
+
+    /// How many runs; what is reported is their median
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=99))]
+    repeats: u32,
+
+    /// Rooms along each side of the world, each with four chairs: 16 make 1,024 objects
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(2..=64))]
+    rooms: u32,
+
+    /// Decides the world and who walks where
+    #[arg(long, value_name = "N", default_value_t = 7)]
+    seed: u64,
+
+    /// More and more people, a fifth more each time, until it holds no longer
+    #[arg(long, conflicts_with_all = ["echo", "churn"])]
+    find_limit: bool,
+
+    /// The world's server and a bare echo of the same datagrams in turn: what the world costs beside QUIC. Five of each
+    /// unless --repeats says otherwise
+    #[arg(long, conflicts_with = "churn")]
+    echo: bool,
+
+    /// A soak: so many join anew, so many come back and so many are put elsewhere each second. For three minutes unless
+    /// --seconds says otherwise
+    #[arg(long, value_name = "N", value_parser = number(0.01..=1000.0, "1/s"))]
+    churn: Option<f64>,
+
+    /// The server's core, and the swarm's
+    #[arg(long, value_name = "CORE,CORE", default_value = "0,1", value_parser = cores)]
+    cores: (usize, usize),
+
+    /// Folder of the report and of the world
+    #[arg(long, value_name = "DIR", default_value = "out/load")]
+    out: PathBuf,
+
+    /// Which part of a run this process is: it was started by another `load`
+    #[arg(long, hide = true)]
+    part: Option<children::Part>,
+
+    /// What is said each way, for the parts of an echo
+    #[arg(long, hide = true, value_parser = children::traffic)]
+    traffic: Option<Traffic>,
+}
+
+pub const EXAMPLES: &str = "Examples:
+  eyeline-sim load
+  eyeline-sim load --clients 200 --seconds 10 --repeats 1
+  eyeline-sim load --find-limit --seconds 20 --repeats 1
+  eyeline-sim load --echo --seconds 20
+  eyeline-sim load --churn 5
+  eyeline-sim load --churn 5 --seconds 3600
+
+Server and swarm are processes on a core each (Linux). Exits with 1, after writing the report, if a run was void: if one of a
+hundred of the swarm's frames began more than 5 ms late.";
+
+fn cores(text: &str) -> Result<(usize, usize), String> {
+    let parsed = text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    parsed.ok_or_else(|| "give two numbers, as in 0,1".to_owned())
+}
+
+/// Measures, or is a part of a measurement.
+pub fn run(options: &Load) -> anyhow::Result<()> {
+    if let Some(part) = options.part {
+        return children::run(part, options);
+    }
+    let (began, started) = (Instant::now(), rfc3339(SystemTime::now()));
+    std::fs::create_dir_all(&options.out)
+        .with_context(|| format!("cannot make the folder {}", options.out.display()))?;
+    let world = make_world(options)?;
+    let mut run = Run::here("Eyeline load", Some(options.seed), started);
+    run.notes = notes(options);
+    let (mut report, void) = match options.churn {
+        _ if options.echo => echo(options, &world, run)?,
+        Some(_) => soak(options, &world, run)?,
+        None => load(options, &world, run)?,
+    };
+    report.run.wall_seconds = began.elapsed().as_secs_f64();
+    let written = report.write(&options.out)?;
+    super::print(&table(report.rows(), &report.columns));
+    super::print(&format!("\n{}\nreport: {}\n", report.headline, written.html.display()));
+    anyhow::ensure!(!void, "void: in some run one frame of a hundred began too late; the machine was too busy");
+    Ok(())
+}
+
+fn notes(options: &Load) -> Vec<String> {
+    let average = load_average().map_or("unknown".to_owned(), |average| format!("{average:.2}"));
+    vec![
+        format!(
+            "server on core {}, swarm on core {}; {} of the clients cull (images of {} pixels), the others replay recorded \
+             eyes and exposures through trackers of their own",
+            options.cores.0, options.cores.1, options.culling, options.side
+        ),
+        "all clients of the swarm share one socket, so the server sees one address; each has a connection of its own"
+            .into(),
+        format!("load average of the last minute before the first run: {average}"),
+    ]
+}
+
+fn make_world(options: &Load) -> anyhow::Result<PathBuf> {
+    let rules = RoomsRules { columns: options.rooms, rows: options.rooms, seed: options.seed, ..RoomsRules::default() };
+    let path = options.out.join("world.glb");
+    rooms::make(&rules)?.write(&path)?;
+    Ok(path)
+}
+
+/// Runs as asked, or with more and more clients.
+fn load(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)> {
+    let mut report = Report::new(run, LoadRow::columns());
+    let (mut clients, mut void, mut said) = (options.clients, false, String::new());
+    loop {
+        let mut rows = Vec::new();
+        for number in 0..options.repeats {
+            super::print(&format!("{clients} clients, run {} of {}\n", number + 1, options.repeats));
+            let measured = measure(options, world, clients, options.seconds)?;
+            rows.push(LoadRow::of(clients, &measured));
+        }
+        let p99 = median(rows.iter().map(|row| row.tick_p99_ms));
+        let kb = median(rows.iter().map(|row| row.memory_kb_a_client));
+        let sent = median(rows.iter().map(|row| row.sent_p99_ms));
+        let is_void = rows.iter().any(|row| row.void);
+        for row in &rows {
+            report.push(row)?;
+        }
+        let half_tick = rows.first().map_or(0.0, |row| row.half_tick_ms);
+        let holds = p99 < half_tick;
+        said += &format!(
+            "{clients} clients: p99 of tick work {p99:.2} ms (median of {}), all sent {sent:.2} ms after the tick was due, half a \
+             tick is {half_tick} ms: {}; {kb:.1} KB a client{}. ",
+            rows.len(),
+            if holds { "holds" } else { "does not hold" },
+            if is_void { " (VOID: the swarm was late)" } else { "" },
+        );
+        void |= is_void && !options.find_limit;
+        if !options.find_limit || !holds || is_void {
+            break;
+        }
+        clients += clients.div_ceil(5);
+    }
+    report.headline = said.trim_end().to_owned();
+    Ok((report, void))
+}
+
+/// One run of server and swarm.
+fn measure(options: &Load, world: &Path, clients: u32, seconds: f64) -> anyhow::Result<Measured> {
+    let mut server = Child::server(options, world)?;
+    let empty = server.usage_settled()?;
+    let mut swarm = Swarming::start(options, world, &server, clients, seconds, 0.0)?;
+    swarm.wait_until_all_are_in()?;
+    server.reset()?;
+    let (began, before) = (Instant::now(), server.usage()?);
+    // The end of the run is the swarm's leaving, which is another work.
+    std::thread::sleep(Duration::from_secs_f64((seconds - 0.5).max(0.5)));
+    let (passed, after, told) = (began.elapsed(), server.usage()?, server.report()?);
+    let seen = swarm.end()?;
+    server.end()?;
+    Ok(Measured { empty, before, after, passed, told, seen })
+}
+
+/// World, echo, world, echo.
+fn echo(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)> {
+    let mut report = Report::new(run, EchoRow::columns());
+    let repeats = if options.repeats == 3 { 5 } else { options.repeats };
+    let mut rows = Vec::new();
+    for number in 0..repeats {
+        super::print(&format!("world and echo, {} of {repeats}\n", number + 1));
+        let measured = measure(options, world, options.clients, options.seconds)?;
+        let traffic = measured.traffic(options.clients);
+        let server = Child::echo_server(options, traffic)?;
+        let mut clients = Swarming::echo(options, &server, traffic)?;
+        clients.wait_until_all_are_in()?;
+        let (began, before) = (Instant::now(), server.usage()?);
+        std::thread::sleep(Duration::from_secs_f64((options.seconds - 0.5).max(0.5)));
+        let (passed, after) = (began.elapsed(), server.usage()?);
+        let seen = clients.end()?;
+        server.end()?;
+        let row = EchoRow::of(options.clients, &measured, traffic, (after.cpu - before.cpu, passed), seen.late_p99_ms);
+        report.push(&row)?;
+        rows.push(row);
+    }
+    let ratio = median(rows.iter().map(|row| row.ratio));
+    report.headline = format!(
+        "{} clients: the world's server takes {ratio:.3} times the processor time of a bare echo of the same datagrams (median \
+         of {repeats}); at most 1.3 is asked for",
+        options.clients
+    );
+    let void = rows.iter().any(|row| row.void);
+    Ok((report, void))
+}
+
+/// A long run with churn: does memory grow?
+fn soak(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)> {
+    let mut report = Report::new(run, SoakRow::columns());
+    let seconds = if options.seconds == 60.0 { 180.0 } else { options.seconds };
+    let mut server = Child::server(options, world)?;
+    let mut swarm =
+        Swarming::start(options, world, &server, options.clients, seconds, options.churn.unwrap_or_default())?;
+    swarm.wait_until_all_are_in()?;
+    let began = Instant::now();
+    let mut samples = Vec::new();
+    while began.elapsed().as_secs_f64() < seconds - 1.0 {
+        let usage = server.usage()?;
+        samples.push((began.elapsed().as_secs_f64(), usage.rss_bytes as f64 / 1024.0));
+        std::thread::sleep(Duration::from_secs_f64((seconds / 180.0).max(1.0)));
+    }
+    let told = server.report()?;
+    let seen = swarm.end()?;
+    server.end()?;
+    for &(second, rss_kb) in &samples {
+        report.push(&SoakRow { second, rss_kb })?;
+    }
+    // The first third is warm-up: what a client has not met yet is new to the server, too.
+    let steady: Vec<(f64, f64)> = samples.iter().filter(|(second, _)| *second >= seconds / 3.0).copied().collect();
+    let slope = slope(&steady);
+    let last = steady.last().map_or(0.0, |sample| sample.1);
+    report.headline = format!(
+        "{} clients for {seconds} s, {} changes of each of three kinds a second ({} joined, {} came back, {} bounds broken): \
+         memory {:.0} KB at the end, growing by {:.2} KB a second after the first third ({:.2} % a minute)",
+        options.clients,
+        options.churn.unwrap_or_default(),
+        told.admitted,
+        told.resumed,
+        told.violations,
+        last,
+        slope,
+        if last > 0.0 { 6000.0 * slope / last } else { 0.0 },
+    );
+    Ok((report, seen.late_p99_ms > super::swarm::LATE_MAX.as_secs_f64() * 1e3))
+}
+
+/// Slope of the line with the least squares through these points; 0 through fewer than two.
+fn slope(points: &[(f64, f64)]) -> f64 {
+    let count = points.len() as f64;
+    let mean = |value: fn(&(f64, f64)) -> f64| points.iter().map(value).sum::<f64>() / count.max(1.0);
+    let (x, y) = (mean(|p| p.0), mean(|p| p.1));
+    let (mut above, mut below) = (0.0, 0.0);
+    for point in points {
+        above += (point.0 - x) * (point.1 - y);
+        below += (point.0 - x) * (point.0 - x);
+    }
+    if below > 0.0 { above / below } else { 0.0 }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn medians_and_slopes() {
+        assert_eq!(median([3.0, 1.0, 2.0].into_iter()), 2.0);
+        assert!(median(std::iter::empty()).is_nan());
+        assert_eq!(slope(&[(0.0, 1.0), (1.0, 3.0), (2.0, 5.0)]), 2.0);
+        assert_eq!([slope(&[]), slope(&[(1.0, 1.0)])], [0.0, 0.0]);
+    }
+}
