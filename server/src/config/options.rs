@@ -208,7 +208,7 @@ pub struct WatchOptions {
     pub metrics: Option<SocketAddr>,
 
     /// Let --metrics be an address that others can reach too. Nobody is asked who they are
-    #[arg(id = "watch.metrics_anywhere", long = "metrics-anywhere")]
+    #[arg(id = "watch.metrics_anywhere", long = "metrics-anywhere", value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", default_value = "false", hide_possible_values = true, action = clap::ArgAction::Set)]
     pub metrics_anywhere: bool,
 
     /// How logs are written to standard error
