@@ -155,6 +155,11 @@ impl Occlusion for Person {
         self.wedge.is_some_and(|wedge| wedge.excludes(bound))
             || self.scratches.iter().all(|scratch| scratch.occlusion().hides(bound))
     }
+
+    fn hides_group(&self, around: &Bound) -> bool {
+        self.wedge.is_some_and(|wedge| wedge.excludes(around))
+            || self.scratches.iter().all(|scratch| scratch.occlusion().hides_group(around))
+    }
 }
 
 impl Driver for Person {

@@ -8,25 +8,12 @@ use std::sync::Arc;
 use crate::occluders::{Occluders, Polygon};
 use crate::under::{RegionError, UnderOcclusion};
 use crate::under_region::NARROW;
-use crate::{Aabb, Bound, EyeRegion, Occlusion, Scene};
+use crate::{Aabb, Bound, EyeRegion, Scene};
 
 /// A scene's occluders in a tree, ready to be looked at from anywhere. Never changes once made.
 #[derive(Debug)]
 pub struct AllRound {
     occluders: Arc<Occluders>,
-    nodes: Vec<Node>,
-    /// Polygons, leaf by leaf.
-    order: Vec<u32>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Node {
-    aabb: Aabb,
-    /// The greatest width of a polygon below: what is narrower than a pixel covers none.
-    width: f64,
-    /// For a leaf its range in `order`; else the index of the second child (the first follows at once) and 0.
-    first: u32,
-    count: u32,
 }
 
 /// What one worker needs to cull: the image and a stack. The image keeps the last eye's occlusion.
@@ -51,9 +38,6 @@ pub struct AllRoundStats {
     pub joints: u64,
 }
 
-/// A query costs about a quarter of drawing a polygon, so a leaf holds a few.
-const LEAF_MAX: usize = 4;
-
 /// Polygons that look narrower than this are not drawn, since they would cover next to no whole pixel.
 const WIDTH_MIN_PX: f64 = 1.5;
 
@@ -65,12 +49,7 @@ impl AllRound {
 
     /// Prepares given occluders.
     pub fn from_occluders(occluders: Arc<Occluders>) -> AllRound {
-        let mut order: Vec<u32> = (0..occluders.len() as u32).collect();
-        let mut nodes = Vec::new();
-        if !order.is_empty() {
-            build(&occluders, &mut order, 0, &mut nodes);
-        }
-        AllRound { occluders, nodes, order }
+        AllRound { occluders }
     }
 
     /// The occluders, for an [`UnderOcclusion`] of one's own.
@@ -107,8 +86,9 @@ impl AllRound {
     fn walk(&self, region: EyeRegion, scratch: &mut AllRoundScratch) {
         let eye = region.centre;
         let AllRoundScratch { occlusion, stack, stats } = scratch;
+        let tree = &self.occluders.tree;
         let mut hidden = |occlusion: &UnderOcclusion, aabb: &Aabb| {
-            let hidden = occlusion.hides(&Bound::Box(*aabb));
+            let hidden = occlusion.covers(&Bound::Box(*aabb));
             stats.queries += 1;
             stats.hidden += u64::from(hidden);
             hidden
@@ -119,27 +99,27 @@ impl AllRound {
                 || eye.clamp(aabb.min, aabb.max).distance_squared(eye) > (width * reach) * (width * reach)
         };
         stack.clear();
-        if !self.nodes.is_empty() {
+        if !tree.nodes.is_empty() {
             stack.push(0);
         }
         while let Some(index) = stack.pop() {
-            let node = &self.nodes[index as usize];
+            let node = &tree.nodes[index as usize];
             if too_narrow(node.width, &node.aabb) || hidden(occlusion, &node.aabb) {
                 continue;
             }
-            if node.count == 0 {
-                let (first, second) = (index + 1, node.first);
+            let Some(leaf) = tree.leaf(node) else {
+                let [first, second] = tree.children(index);
                 let distance = |child: u32| {
-                    let aabb = &self.nodes[child as usize].aabb;
+                    let aabb = &tree.nodes[child as usize].aabb;
                     (eye.clamp(aabb.min, aabb.max).distance_squared(eye), aabb.centre().distance_squared(eye))
                 };
                 let pair = if distance(first) <= distance(second) { [second, first] } else { [first, second] };
                 stack.extend(pair);
                 continue;
-            }
-            for &polygon in &self.order[node.first as usize..(node.first + node.count) as usize] {
+            };
+            for &polygon in leaf {
                 let Polygon { width, aabb, .. } = &self.occluders.polygons[polygon as usize];
-                if !too_narrow(*width, aabb) && (node.count == 1 || !hidden(occlusion, aabb)) {
+                if !too_narrow(*width, aabb) && (leaf.len() == 1 || !hidden(occlusion, aabb)) {
                     occlusion.draw_polygon(polygon);
                 }
             }
@@ -158,26 +138,4 @@ impl AllRoundScratch {
     pub fn occlusion(&self) -> &UnderOcclusion {
         &self.occlusion
     }
-}
-
-/// Splits `order` (which starts at `first` of the whole) at the median of the longest axis of the boxes' middles.
-fn build(occluders: &Occluders, order: &mut [u32], first: usize, nodes: &mut Vec<Node>) {
-    let aabb_of = |polygon: u32| occluders.polygons[polygon as usize].aabb;
-    let aabb = order.iter().fold(Aabb::EMPTY, |aabb, &polygon| aabb.union(&aabb_of(polygon)));
-    let width = order.iter().map(|&polygon| occluders.polygons[polygon as usize].width).fold(0.0, f64::max);
-    let index = nodes.len();
-    nodes.push(Node { aabb, width, first: first as u32, count: order.len() as u32 });
-    if order.len() <= LEAF_MAX {
-        return;
-    }
-    let middles = order.iter().fold(Aabb::EMPTY, |aabb, &polygon| aabb.with_point(aabb_of(polygon).centre()));
-    let size = middles.size();
-    let axis = (0..3).fold(0, |best, axis| if size[axis] > size[best] { axis } else { best });
-    let key = |polygon: u32| aabb_of(polygon).centre()[axis];
-    order.sort_by(|&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
-    let half = order.len() / 2;
-    let (left, right) = order.split_at_mut(half);
-    build(occluders, left, first, nodes);
-    nodes[index] = Node { aabb, width, first: nodes.len() as u32, count: 0 };
-    build(occluders, right, first + half, nodes);
 }

@@ -218,13 +218,13 @@ impl DynamicOctree {
 
     /// Whether all that is in and below a node is hidden, and how many tests that took.
     fn is_hidden(&self, node: &OctreeNode, occlusion: &dyn Occlusion) -> (bool, usize) {
-        if occlusion.hides(&Bound::Box(node.around)) {
+        if occlusion.hides_group(&Bound::Box(node.around)) {
             return (true, 1);
         }
         let ball = Bound::Sphere { centre: node.centre, radius: node.reach };
         // Where it sticks out of the box on every side, the box has said it all.
         let helps = node.reach < 0.5 * node.around.size().length();
-        (helps && occlusion.hides(&ball), 1 + usize::from(helps))
+        (helps && occlusion.hides_group(&ball), 1 + usize::from(helps))
     }
 
     /// Checks the key and the nodes above it, in debug builds. The whole tree would make every mutation linear.

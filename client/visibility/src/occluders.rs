@@ -21,6 +21,7 @@ use glam::{DVec3, Vec3};
 use rustc_hash::FxHashMap;
 
 use crate::closers::{self, Closer, EXACT};
+use crate::occluder_tree::OccluderTree;
 use crate::{Aabb, Scene, Sides};
 
 /// One occluder: a loop of corners, anticlockwise from its front.
@@ -59,8 +60,6 @@ pub(crate) struct Joint {
     pub opposite: bool,
     /// The shared stretch.
     pub ends: [DVec3; 2],
-    /// Between two flat polygons: how fast the first rises above the second from the line on. 0 if they are coplanar.
-    pub fold: Option<f64>,
 }
 
 /// What of a scene can hide something, prepared for [`crate::UnderOcclusion`]. Never changes once made.
@@ -72,6 +71,8 @@ pub struct Occluders {
     /// The other polygon and the index in `joints`, polygon by polygon.
     pub(crate) joint_lists: Vec<[u32; 2]>,
     pub(crate) closers: Vec<Closer>,
+    /// Boxes over the polygons.
+    pub(crate) tree: OccluderTree,
     /// Polygon of each primitive, or `NONE`.
     polygon_of: Vec<u32>,
 }
@@ -352,6 +353,7 @@ impl Loops {
             joints: Vec::new(),
             joint_lists: Vec::new(),
             closers: Vec::new(),
+            tree: OccluderTree::default(),
             polygon_of: vec![NONE; primitives],
         };
         for polygon in &self.loops {
@@ -380,6 +382,7 @@ impl Loops {
             });
             occluders.corners.extend(corners);
         }
+        occluders.tree = OccluderTree::build(&occluders.polygons);
         occluders.find_joints();
         for (polygon, closers) in closers::find(&occluders).into_iter().enumerate() {
             let first = occluders.closers.len() as u32;
@@ -391,18 +394,6 @@ impl Loops {
 }
 
 impl Occluders {
-    /// How fast polygon `p` rises above `q` from its edge on, which lies on a line of `q`.
-    fn fold(&self, p: u32, edge: u32, q: u32) -> Option<f64> {
-        let [a, b] = [p, q].map(|polygon| &self.polygons[polygon as usize]);
-        let corners = self.corners(p);
-        let [from, to] = [edge, edge + 1].map(|i| corners[i as usize % corners.len()].as_dvec3());
-        let along = (to - from).try_normalize()?;
-        let fold = b.normal.dot(a.normal.cross(along));
-        let fold = if fold.abs() <= EXACT { 0.0 } else { fold };
-        // Nearly coplanar is neither.
-        (a.flat && b.flat && b.normal.dot(along).abs() <= EXACT && (fold == 0.0 || fold.abs() > 1e-6)).then_some(fold)
-    }
-
     fn find_joints(&mut self) {
         let mut all = Vec::new();
         for polygon in 0..self.polygons.len() as u32 {
@@ -432,7 +423,6 @@ impl Occluders {
                 edges: [a.edge, b.edge],
                 opposite,
                 ends: [low.as_dvec3(), high.as_dvec3()],
-                fold: self.fold(a.polygon, a.edge, b.polygon),
             });
         });
         self.joints = joints;

@@ -7,6 +7,12 @@ pub trait Occlusion {
     /// True only if no point of `bound` can be seen from any eye of the region, in any direction that the interest
     /// covers. Rounds outward: a tie, or doubt, is `false`. [`Bound::Everywhere`] is never hidden.
     fn hides(&self, bound: &Bound) -> bool;
+
+    /// A quick [`Occlusion::hides`] about a bound around several, each of which will be asked about if this is `false`: too
+    /// large a bound to be worth an answer that costs much.
+    fn hides_group(&self, around: &Bound) -> bool {
+        self.hides(around)
+    }
 }
 
 /// The dynamic half of S&G's structure T: holds one bound per key, and walks them against an occlusion without

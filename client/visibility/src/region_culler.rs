@@ -14,8 +14,8 @@ use glam::DVec3;
 
 use crate::culler::everything;
 use crate::{
-    Bound, Budget, Cplp, Culled, Culler, EyeRegion, Occluders, Occlusion, OctreeRules, Resolution, Scene, Scratch,
-    Sides, Triangle, View,
+    Bound, Budget, Cplp, Culled, Culler, EyeRegion, Occluders, OctreeRules, Resolution, Scene, Scratch, Sides,
+    Triangle, View,
 };
 
 /// Conservative PLP for every eye of a ball and every resolution. A region that is no ball gets everything.
@@ -81,7 +81,7 @@ impl Culler for RegionCuller {
         let triangles = self.scene.triangles();
         let seen = |&id: &u32| {
             let triangle = &triangles[id as usize];
-            !turned_away(triangle, region) && !under.hides(&Bound::Box(triangle.aabb()))
+            !turned_away(triangle, region) && !under.covers(&Bound::Box(triangle.aabb()))
         };
         Culled { visible: cplp.visible().iter().copied().filter(seen).collect(), traversal, z_tests: 0 }
     }

@@ -28,7 +28,7 @@ use crate::occluders::Occluders;
 use crate::under_extent::{Extent, Seen};
 use crate::under_face::{Face, Region};
 use crate::under_region::NARROW;
-use crate::{Aabb, Bound, EyeRegion, Occlusion, SealedFace, Target, View};
+use crate::{Aabb, Bound, EyeRegion, Occlusion, SealedFace, Target, View, sheets};
 
 /// Occluders count from this many near distances on, along the image's axis. A camera that is turned by θ against it
 /// still has them beyond its own near plane if cos θ ≥ 1/2: true up to 120° of diagonal angle of view.
@@ -236,6 +236,16 @@ impl UnderOcclusion {
     /// Draws one polygon of the occluders, once per frame, and its joints with polygons drawn before.
     pub fn draw_polygon(&mut self, polygon: u32) {
         self.image.draw_polygon(&self.occluders, polygon);
+    }
+
+    /// Whether the image alone hides a bound: all that a traversal asks. For a point it is all there is.
+    pub(crate) fn covers(&self, bound: &Bound) -> bool {
+        let Some(aabb) = bound.aabb() else { return false };
+        let relative = Aabb::new(aabb.min - self.image.eye, aabb.max - self.image.eye);
+        if !(relative.min.is_finite() && relative.max.is_finite()) || relative.is_empty() {
+            return false;
+        }
+        self.image.faces.iter().all(|face| self.image.hides_in(face, bound, &relative))
     }
 
     /// Pixels per unit of tangent.
@@ -476,12 +486,11 @@ impl Image {
 
 impl Occlusion for UnderOcclusion {
     fn hides(&self, bound: &Bound) -> bool {
-        let Some(aabb) = bound.aabb() else { return false };
-        let relative = Aabb::new(aabb.min - self.image.eye, aabb.max - self.image.eye);
-        if !(relative.min.is_finite() && relative.max.is_finite()) || relative.is_empty() {
-            return false;
-        }
-        self.image.faces.iter().all(|face| self.image.hides_in(face, bound, &relative))
+        self.covers(bound) || self.image.radius > 0.0 && sheets::hide(&self.image, &self.occluders, bound)
+    }
+
+    fn hides_group(&self, around: &Bound) -> bool {
+        self.covers(around)
     }
 }
 
@@ -491,7 +500,7 @@ impl Target for UnderOcclusion {
             let Some(polygon) = self.occluders.polygon_of(primitive) else { continue };
             // From a ball, drawing costs many times what asking costs, and much of a cell is hidden by the rest of it.
             let is_new = self.image.radius > 0.0 && !self.image.is_drawn(polygon);
-            if is_new && self.hides(&Bound::Box(self.occluders.polygons[polygon as usize].aabb)) {
+            if is_new && self.covers(&Bound::Box(self.occluders.polygons[polygon as usize].aabb)) {
                 continue;
             }
             self.draw_polygon(polygon);
@@ -499,7 +508,7 @@ impl Target for UnderOcclusion {
     }
 
     fn sees(&self, aabb: &Aabb) -> bool {
-        !self.hides(&Bound::Box(*aabb))
+        !self.covers(&Bound::Box(*aabb))
     }
 
     /// Rays decide here, and no ray passes a sealed face but where a camera's near plane cuts it open.

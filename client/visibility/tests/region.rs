@@ -35,17 +35,42 @@ fn point_in(aabb: &Aabb, rng: &mut Pcg64) -> DVec3 {
     aabb.min + aabb.size() * DVec3::from_array(std::array::from_fn(|_| rng.random_range(0.0..=1.0)))
 }
 
-/// An eye of the ball and a point of the box that it sees, if random rays and rays past the edges of occluders find any.
+/// Where along a ray the bound begins, as far as this is easy to say.
+fn entry_into(bound: &Bound, eye: DVec3, along: DVec3) -> Option<f64> {
+    match *bound {
+        Bound::Box(aabb) => entry(&aabb, eye, along),
+        Bound::Sphere { centre, radius } => {
+            let (squared, to) = (along.length_squared(), centre - eye);
+            let nearest = to.dot(along) / squared;
+            let half = (radius * radius - to.distance_squared(along * nearest)) / squared;
+            (half >= 0.0).then(|| nearest - half.sqrt()).filter(|&t| t > 0.0)
+        }
+        _ => None,
+    }
+}
+
+fn point_of(bound: &Bound, rng: &mut Pcg64) -> DVec3 {
+    match *bound {
+        Bound::Sphere { centre, radius } => centre + direction(rng) * radius,
+        Bound::Upright { centre, radius, half_height } => {
+            let around = direction(rng).with_y(0.0).normalize_or_zero() * radius;
+            centre + around + DVec3::Y * rng.random_range(-half_height..=half_height)
+        }
+        _ => point_in(&bound.aabb().unwrap(), rng),
+    }
+}
+
+/// An eye of the ball and a point of the bound that it sees, if random rays and rays past the edges of occluders find any.
 fn witness(
     scene: &Scene,
     rays: &Rays,
     region: EyeRegion,
-    aabb: &Aabb,
+    bound: &Bound,
     count: usize,
     rng: &mut Pcg64,
 ) -> Option<[DVec3; 2]> {
     for _ in 0..count {
-        let (eye, point) = (eye_in(region, rng), point_in(aabb, rng));
+        let (eye, point) = (eye_in(region, rng), point_of(bound, rng));
         if !rays.blocked(eye, point) {
             return Some([eye, point]);
         }
@@ -55,7 +80,7 @@ fn witness(
         let on_edge = corners[i].lerp(corners[(i + 1) % 3], rng.random_range(-0.01..1.01));
         let through = on_edge + direction(rng) * 10.0_f64.powf(rng.random_range(-6.0..-1.0));
         let along = through - eye;
-        if let Some(t) = entry(aabb, eye, along)
+        if let Some(t) = entry_into(bound, eye, along)
             && !rays.blocked(eye, eye + along * t)
         {
             return Some([eye, eye + along * t]);
@@ -75,7 +100,18 @@ fn random_box(around: DVec3, reach: f64, rng: &mut Pcg64) -> Aabb {
     }
 }
 
-/// Asks about `bounds` random boxes from a region and checks each that is called hidden by `count` rays of each kind.
+/// A random box, or a ball or cylinder in its place.
+fn random_bound(around: DVec3, reach: f64, rng: &mut Pcg64) -> Bound {
+    let aabb = random_box(around, reach, rng);
+    let (centre, half) = (aabb.centre(), aabb.size() * 0.5);
+    match rng.random_range(0..4) {
+        0 => Bound::Sphere { centre, radius: half.max_element() },
+        1 => Bound::Upright { centre, radius: half.x, half_height: half.y },
+        _ => Bound::Box(aabb),
+    }
+}
+
+/// Asks about `bounds` random bounds from a region and checks each that is called hidden by `count` rays of each kind.
 #[expect(clippy::too_many_arguments, reason = "a test's setting is many numbers")]
 fn check(
     scene: &Scene,
@@ -91,11 +127,11 @@ fn check(
     let occlusion = all_round.cull(region, &mut scratch).unwrap();
     let mut hidden = 0;
     for _ in 0..bounds {
-        let aabb = random_box(region.centre, 12.0, rng);
-        if occlusion.hides(&Bound::Box(aabb)) {
+        let bound = random_bound(region.centre, 12.0, rng);
+        if occlusion.hides(&bound) {
             hidden += 1;
-            if let Some([eye, point]) = witness(scene, rays, region, &aabb, count, rng) {
-                panic!("{aabb:?} is called hidden from {region:?} at {side} px, but {eye} sees {point}");
+            if let Some([eye, point]) = witness(scene, rays, region, &bound, count, rng) {
+                panic!("{bound:?} is called hidden from {region:?} at {side} px, but {eye} sees {point}");
             }
         }
     }
@@ -176,6 +212,84 @@ fn a_slit_is_seen_through_and_touching_pieces_are_not() {
             assert_eq!(hides(triangles.clone(), region, &behind), slit == 0.0, "{slit} {radius}");
         }
     }
+}
+
+/// A wall of upright strips of 0.4 m, bent to and fro: none is as wide as a ball of 0.5 m, and each is needed.
+fn screen(bend: f32, left_out: Option<usize>, twisted: bool) -> Vec<Triangle> {
+    let mut triangles = Vec::new();
+    let corner =
+        |i: usize, y: f32| Vec3::new(i as f32 * 0.4 - 8.0, y, -3.0 - if i.is_multiple_of(2) { bend } else { 0.0 });
+    for i in (0..40).filter(|&i| left_out != Some(i)) {
+        // Pieces of different height next to each other, so that corners lie in the middle of edges.
+        let heights: &[f32] = if i.is_multiple_of(3) { &[-8.0, 0.25, 8.0] } else { &[-8.0, -1.5, 1.0, 8.0] };
+        for y in heights.windows(2) {
+            let lift = if twisted && i == 19 { 1e-4 } else { 0.0 };
+            let [a, b, c, d] = [corner(i, y[0]), corner(i + 1, y[0]), corner(i + 1, y[1]), corner(i, y[1])];
+            let (b, c) = (b - Vec3::Z * lift, c - Vec3::Z * lift);
+            for corners in [[a, b, c], [a, c, d]] {
+                triangles.push(Triangle { corners, sides: Sides::Both, occludes: true });
+            }
+        }
+    }
+    triangles
+}
+
+#[test]
+fn a_bent_sheet_hides_as_one_and_a_crack_in_it_does_not() {
+    for radius in [0.15, 0.3, 0.5] {
+        let region = EyeRegion { centre: DVec3::new(0.1, 0.1, 0.0), radius };
+        for bound in [
+            Bound::Sphere { centre: DVec3::new(0.2, 0.0, -9.0), radius: 1.0 },
+            Bound::Box(Aabb::around(DVec3::new(0.2, 0.0, -9.0), DVec3::splat(0.8))),
+            Bound::Upright { centre: DVec3::new(0.2, 0.0, -9.0), radius: 0.5, half_height: 0.9 },
+        ] {
+            for bend in [0.0, 0.01, 0.05] {
+                assert!(hides(screen(bend, None, false), region, &bound), "{bend} {region:?} {bound:?}");
+                assert!(!hides(screen(bend, Some(20), false), region, &bound), "{bend} {region:?} {bound:?}");
+                assert!(!hides(screen(bend, None, true), region, &bound), "{bend} {region:?} {bound:?}");
+            }
+        }
+        // Beside the crack nothing is lost.
+        let beside = Bound::Sphere { centre: DVec3::new(-9.0, 0.0, -9.0), radius: 0.5 };
+        assert!(hides(screen(0.05, Some(20), false), region, &beside));
+    }
+}
+
+#[test]
+fn walls_that_run_into_each_other_hide_what_is_behind_their_corner() {
+    // Two walls that cross in a line, seen from inside the corner: behind it is hidden, beyond a wall's top is not.
+    let corner = |top: f32| {
+        let mut triangles = Vec::new();
+        for turned in [false, true] {
+            let ends = [-6.0, 1.0_f32].map(|u| {
+                [-1.0, top].map(|y| if turned { Vec3::new(-1.0, y, -3.0 - u) } else { Vec3::new(-u - 1.0, y, -3.0) })
+            });
+            let [[a, d], [b, c]] = ends;
+            for corners in [[a, b, c], [a, c, d]] {
+                triangles.push(Triangle { corners, sides: Sides::Both, occludes: true });
+            }
+        }
+        triangles
+    };
+    let region = EyeRegion { centre: DVec3::new(1.5, 0.3, -0.5), radius: 0.3 };
+    let behind = Bound::Sphere { centre: DVec3::new(-3.0, 0.3, -5.0), radius: 0.8 };
+    assert!(hides(corner(4.0), region, &behind));
+    assert!(!hides(corner(0.6), region, &behind));
+}
+
+#[test]
+fn an_edge_that_something_hides_is_an_edge_all_the_same() {
+    // A strip before the wall's end hides that end from every eye, and little of what is seen past it.
+    let mut triangles = Vec::new();
+    wall(&mut triangles, [-50.0, 0.0], [-50.0, 50.0], -10.0);
+    wall(&mut triangles, [-0.1, 0.1], [-50.0, 50.0], -9.0);
+    let bound = Bound::Sphere { centre: DVec3::new(-0.9, 0.0, -30.0), radius: 0.01 };
+    let ball = |radius: f64| EyeRegion { centre: DVec3::ZERO, radius };
+    assert!(hides(triangles.clone(), ball(0.0), &bound));
+    let mut rng = Pcg64::seed_from_u64(11);
+    let scene = Scene::from_triangles(triangles.clone());
+    assert!(witness(&scene, &Rays::new(&scene), ball(0.7), &bound, 1000, &mut rng).is_some());
+    assert!(!hides(triangles, ball(0.7), &bound));
 }
 
 #[test]
@@ -395,7 +509,7 @@ fn how_many_avatars_are_kept_for_nothing() {
                 let occlusion = all_round.cull(region, &mut scratch).unwrap();
                 for aabb in &avatars {
                     kept[i] += u32::from(!occlusion.hides(&Bound::Box(*aabb)));
-                    seen[i] += u32::from(witness(&scene, &rays, region, aabb, 1500, &mut rng).is_some());
+                    seen[i] += u32::from(witness(&scene, &rays, region, &Bound::Box(*aabb), 1500, &mut rng).is_some());
                 }
             }
         }
