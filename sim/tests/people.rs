@@ -145,10 +145,9 @@ fn somebody_moves_a_chair_and_somebody_else_sees_it_and_hears_what_is_said_of_it
         let scene = mover.scene(&ModelSource::Fetch).await.unwrap();
         other.scene(&ModelSource::Fetch).await.unwrap();
         // A chair that stands; both are put beside it.
-        let stands =
-            |object: &eyeline_server::world::Object| !object.node.is_empty() && object.changed_at == WorldTime::ZERO;
         let chair = handle.with_world(|world| {
-            let chair = world.objects().iter().position(stands).expect("some chairs stand");
+            let chairs = world.objects().iter().enumerate().filter(|(_, object)| !object.node.is_empty());
+            let (chair, _) = chairs.min_by_key(|(_, object)| object.changed_at).expect("there are chairs");
             let at = world.objects()[chair].position;
             for (connection, dx) in [(&mover, -800), (&other, 800)] {
                 world.teleport(avatar(connection).1, Position { x: at.x + dx, ..at });
