@@ -301,7 +301,7 @@ impl Session {
                 self.owes_ack = true;
                 if welcome.continuity == Continuity::Kept && self.tracker.is_some() {
                     // All that we hold goes on to hold; where we are is said again.
-                    self.poses_due = self.poses.keys().copied().collect();
+                    self.poses_due = welcome.avatars.iter().map(|own| own.0).collect();
                     self.welcome = Some(welcome.clone());
                     self.events.push_back(Event::Welcomed(welcome));
                     return;
@@ -341,10 +341,12 @@ impl Session {
             }
             Ok(ServerControl::Left { objects }) => {
                 self.heard = self.heard.saturating_add(1);
+                let own = self.welcome.as_ref().map_or(&[][..], |welcome| &welcome.avatars);
                 if let Some(tracker) = &mut self.tracker {
                     for object in objects {
                         tracker.handle_left(object);
-                        if self.config.watch {
+                        let is_own = own.iter().any(|own| own.0 == object);
+                        if self.config.watch && !is_own {
                             self.watch.leave(object);
                             self.events.push_back(Event::Left(object));
                         }
@@ -353,6 +355,7 @@ impl Session {
             }
             Ok(ServerControl::Held { object, hold }) => {
                 if hold == Hold::Yours {
+                    // Not said before it is set: where it is now the server knows.
                     let shown = self.tracker.as_ref().and_then(|tracker| tracker.shown(object));
                     let pose = shown.map_or(Default::default(), |drawn| (drawn.position, drawn.orientation));
                     self.poses.entry(object).or_insert(pose);

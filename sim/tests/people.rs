@@ -5,9 +5,12 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
-use eyeline_client::net::{Connection, Endpoint, Fingerprint, LocalClock, ModelSource, Onlooker, run_headless};
+use eyeline_client::net::{
+    Connection, Endpoint, Fingerprint, LocalClock, ModelSource, NetError, Onlooker, run_headless,
+};
 use eyeline_client::session::{Event, Session, SessionConfig};
-use eyeline_protocol::{ClientId, Continuity, Hold, ObjectId, Orientation, Position, Role, WorldTime};
+use eyeline_protocol::{ClientId, Continuity, Hold, ObjectId, Orientation, Position, Rank, Refusal, Role, WorldTime};
+use eyeline_server::gate::{Caller, Denial, Gate, Permit};
 use eyeline_server::model::Model;
 use eyeline_server::net::{Handle, Identity, Server, WorldClock};
 use eyeline_server::policy::PolicySettings;
@@ -105,6 +108,17 @@ fn who_is_cut_off_comes_back_and_who_moves_house_goes_on() {
     });
 }
 
+/// Lets everybody fly.
+struct Viewers;
+
+impl Gate for Viewers {
+    fn admit(&mut self, _: &[u8], _: Caller, _: WorldTime) -> Result<Permit, Denial> {
+        Ok(Permit { rank: Rank::Viewer, avatars_max: 0, subject: String::new() })
+    }
+
+    fn ban(&mut self, _: &str, _: Caller, _: WorldTime) {}
+}
+
 fn session(config: SessionConfig) -> Session {
     Session::new(config, Box::new(|| Box::new(DynamicOctree::new(Aabb::EMPTY))))
 }
@@ -115,8 +129,12 @@ fn who_flies_has_no_avatar_and_sees_what_is_there() {
     runtime.block_on(async {
         let (handle, address, fingerprint) = serve().await;
         let endpoint = Endpoint::new(fingerprint, address).unwrap();
-        let viewer = session(SessionConfig::default().with_role(Role::Viewer));
-        let mut connection = endpoint.connect(address, viewer, LocalClock::default()).await.unwrap();
+        let viewer = || session(SessionConfig::default().with_role(Role::Viewer));
+        // An actor's eye stays by its avatar.
+        let refused = endpoint.connect(address, viewer(), LocalClock::default()).await.err();
+        assert!(matches!(refused, Some(NetError::Refused { refusal: Refusal::Token, .. })), "{refused:?}");
+        handle.with_world(|world| world.set_gate(Box::new(Viewers)));
+        let mut connection = endpoint.connect(address, viewer(), LocalClock::default()).await.unwrap();
         let scene = connection.scene(&ModelSource::Fetch).await.unwrap();
         // At eye height beside the first chair.
         let chair = handle.with_world(|world| world.objects()[0].position.metres());

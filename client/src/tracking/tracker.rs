@@ -289,7 +289,14 @@ impl Tracker {
         self.leave_t_and_q(object);
         self.visible.remove(&object);
         self.asked.remove(&object);
-        self.entries.remove(&object);
+        let entry = self.entries.remove(&object);
+        // Whoever has its id next may have been told of before this was: states come beside the control stream. The roster
+        // leaves out what is older than it.
+        if let Some(state) = entry.and_then(|entry| entry.state).filter(|_| !self.tracking)
+            && self.early.len() < EARLY_MAX
+        {
+            self.early.insert(object, state);
+        }
     }
 
     /// Where an object was at a tick, and how it goes on. With the newest frame's `occlusion` it is decided at once whether an object that was

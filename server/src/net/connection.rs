@@ -76,7 +76,7 @@ async fn turn_away(connection: &quinn::Connection, patience: Duration, refusal: 
 }
 
 /// For how long a client that is sent away may take to hear it.
-const HEARING: Duration = Duration::from_secs(1);
+pub(super) const HEARING: Duration = Duration::from_secs(1);
 
 /// What a client may come back with. All zero, so that it can't, if the system has no chance to give.
 fn resume_token() -> [u8; 16] {

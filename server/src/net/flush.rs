@@ -9,6 +9,7 @@ use bytes::Bytes;
 use eyeline_protocol::WorldTime;
 use tokio::sync::mpsc;
 
+use super::connection::HEARING;
 use super::{CommitHook, ShellStats};
 use crate::world::{PathState, SessionId, Transmit, World, room};
 
@@ -89,7 +90,16 @@ impl Core {
                 }
                 Transmit::Control(bytes) => Outgoing::Control(bytes),
                 Transmit::WorldBytes => Outgoing::WorldBytes,
-                Transmit::Close(reason) => Outgoing::Close(reason),
+                Transmit::Close(reason) => {
+                    // Who does not read what comes before does not put it off.
+                    let connection = peer.connection.clone();
+                    let last = reason.clone().into_bytes();
+                    tokio::spawn(async move {
+                        tokio::time::sleep(2 * HEARING).await;
+                        connection.close(0u32.into(), &last);
+                    });
+                    Outgoing::Close(reason)
+                }
             };
             let waiting = match &outgoing {
                 Outgoing::Control(bytes) => peer.waiting.fetch_add(bytes.len(), Ordering::Relaxed),

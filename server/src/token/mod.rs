@@ -113,7 +113,9 @@ pub enum TokenError {
         from: WorldTime,
     },
     /// The subject can't be written.
-    #[error("'{0}' is not a subject: give a name of 1 to {NAME_BYTES_MAX} bytes without line breaks")]
+    #[error(
+        "'{0}' is not a subject: give a name of 1 to {NAME_BYTES_MAX} bytes without line breaks, or blanks at its ends"
+    )]
     Subject(String),
     /// More avatars than anybody may have.
     #[error("{0} avatars are more than {AVATARS_MAX}, the most of one connection")]
@@ -201,7 +203,7 @@ impl SecretKey {
     /// If they can't be said.
     pub fn issue(&self, claims: &Claims) -> Result<String, TokenError> {
         let subject = &claims.subject;
-        if subject.is_empty() || subject.len() > NAME_BYTES_MAX || subject.chars().any(char::is_control) {
+        if !is_subject(subject) {
             return Err(TokenError::Subject(subject.escape_debug().to_string()));
         }
         if usize::from(claims.avatars) > AVATARS_MAX {
@@ -300,13 +302,18 @@ fn untrusted(token: &[u8]) -> Result<UntrustedToken<Public, V4>, TokenError> {
     UntrustedToken::try_from(text.trim()).map_err(|_| TokenError::Format)
 }
 
+/// Lists have a subject a line, and don't tell blanks at its ends.
+fn is_subject(text: &str) -> bool {
+    (1..=NAME_BYTES_MAX).contains(&text.len()) && text.trim() == text && !text.chars().any(char::is_control)
+}
+
 fn claims(payload: &str) -> Result<Claims, TokenError> {
     let wrong = |what: String| TokenError::Claims(what);
     let written: Written = serde_json::from_str(payload).map_err(|error| wrong(error.to_string()))?;
     let instant = |name, text: &str| from_calendar(text).ok_or_else(|| wrong(format!("{name} = '{text}' is no time")));
     let role = Rank::ALL.into_iter().find(|rank| rank.name() == written.role);
-    if written.sub.is_empty() || written.sub.len() > NAME_BYTES_MAX {
-        return Err(wrong(format!("sub has {} bytes", written.sub.len())));
+    if !is_subject(&written.sub) {
+        return Err(wrong(format!("sub has {} bytes, or characters that no name has", written.sub.len())));
     }
     if usize::from(written.avatars) > AVATARS_MAX {
         return Err(wrong(format!("avatars = {} are too many", written.avatars)));

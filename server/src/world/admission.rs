@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use eyeline_protocol::{
-    ClientId, Continuity, Interest, ObjectId, Orientation, Position, Rank, Refusal, Resume, Role, RosterEntry,
+    ClientId, Continuity, Hold, Interest, ObjectId, Orientation, Position, Rank, Refusal, Resume, Role, RosterEntry,
     ServerControl, VERSION, Welcome, WorldTime, codec,
 };
 use glam::DVec3;
@@ -121,7 +121,8 @@ impl World {
             object.forget_holder(slot);
         }
         for thing in &session.things {
-            self.objects[thing.index()].owner = None;
+            let entry = &mut self.objects[thing.index()];
+            (entry.owner, entry.wanted) = (None, None);
         }
         for &object in &session.avatars {
             let entry = &mut self.objects[object.index()];
@@ -197,6 +198,12 @@ impl World {
                 "this token lets its bearer look only (rank viewer); come as a viewer, or ask for an actor's token";
             return self.deny(id, Refusal::Token, reason);
         }
+        if hello.role == Role::Viewer && permit.rank == Rank::Actor {
+            // Else every actor had a second, free eye.
+            let reason =
+                "an actor's eye stays by its avatar; come as an avatar, or with a viewer's or an operator's token";
+            return self.deny(id, Refusal::Token, reason);
+        }
         if wanted > usize::from(permit.avatars_max) {
             let most = permit.avatars_max;
             let reason = format!("{wanted} avatars are more than the {most} that this token is good for");
@@ -234,7 +241,7 @@ impl World {
     fn whose(&self, resume: &Resume, permit: &Permit) -> Option<SessionId> {
         let is_it = |session: &Session| {
             session.may_return(self.config.resume_grace)
-                && session.caller.resume == resume.token
+                && (session.caller.resume == resume.token || session.resume_before == Some(resume.token))
                 && !session.is_refused
                 && matches!(session.phase, Phase::Live { .. })
                 // Another's token, or a rank that was lost, is not made good by having been here.
@@ -254,6 +261,7 @@ impl World {
             self.out.push_back((old, Transmit::Close(reason)));
         }
         session.take_over(fresh, now, self.policy.tracking());
+        self.validity.forget(old);
         for object in session.avatars.iter().chain(&session.things) {
             let entry = &mut self.objects[object.index()];
             (entry.owner, entry.wanted_seq) = (Some(id), 0);
@@ -264,13 +272,23 @@ impl World {
         let client = session.client;
         if missed.is_none() {
             session.forget_all();
+            // It does not know any more what it held.
+            for thing in std::mem::take(&mut session.things) {
+                let entry = &mut self.objects[thing.index()];
+                (entry.owner, entry.wanted) = (None, None);
+            }
             for object in &mut self.objects {
                 object.forget_holder(slot);
             }
         }
+        let things = session.things.clone();
         self.sessions.insert(id, session);
         let continuity = if missed.is_some() { Continuity::Kept } else { Continuity::Returned };
         self.welcome(id, continuity, missed.unwrap_or_default());
+        // What it said of them last may have got lost.
+        for object in things {
+            self.say(id, &ServerControl::Held { object, hold: Hold::Yours });
+        }
         self.stats.resumed += 1;
         self.note(WorldEvent::Returned { client });
     }
@@ -380,7 +398,7 @@ impl World {
             if bound.is_some() {
                 // Its owner is told, too, with the same bytes, but holds no bound of its own avatar.
                 let own = self.objects[id.index()].owner.and_then(|owner| self.sessions.get(&owner));
-                let own = own.and_then(|session| session.phase.slot());
+                let own = own.filter(|session| session.avatars.contains(&id)).and_then(|session| session.phase.slot());
                 for &slot in slots.iter().filter(|&&slot| Some(slot) != own) {
                     self.objects[id.index()].note_holder(slot);
                 }

@@ -308,6 +308,8 @@ impl World {
             lost > 0 && !session.meter.take((Limited::Resends, lost), limits, size, now, &mut self.stats.limited);
         let mut over = false;
         session.heard_at = now;
+        // It has its welcome.
+        session.resume_before = None;
         session.owes_ack = true;
         let seq = header.link.seq;
         let mut answer = false;
@@ -396,7 +398,9 @@ impl World {
     }
 
     fn place(&mut self, id: SessionId, object: ObjectId, position: Position, present: bool) {
-        match self.objects.get_mut(object.index()).filter(|entry| entry.owner == Some(id)) {
+        // Avatars only: a thing that is held moves as its class may.
+        let is_own = self.sessions.get(&id).is_some_and(|session| session.avatars.contains(&object));
+        match self.objects.get_mut(object.index()).filter(|_| is_own) {
             Some(entry) => {
                 entry.placed = Some((position, present));
                 entry.wanted = None;

@@ -215,6 +215,9 @@ impl World {
         let (Some(session), Some(entry)) = (self.sessions.get(&id), self.objects.get(object.index())) else {
             return Hold::Fixed;
         };
+        if session.things.contains(&object) {
+            return Hold::Yours;
+        }
         let Some(avatar) = session.avatars.first().filter(|_| session.things.len() < THINGS_MAX) else {
             return Hold::Fixed;
         };
@@ -227,8 +230,7 @@ impl World {
         let is_near = distance <= TAKE_REACH + radius(avatar.class) + radius(entry.class);
         // Who is not told of it does not learn here that it is near, or whose it is.
         match entry.owner {
-            Some(owner) if owner == id => Hold::Yours,
-            _ if !avatar.present || !is_near || !session.is_subscribed(object) => Hold::TooFar,
+            _ if !avatar.present || !is_near || !session.is_told(object) => Hold::TooFar,
             Some(_) => Hold::Taken,
             None => Hold::Yours,
         }
@@ -257,7 +259,7 @@ impl World {
             self.stats.forbidden += 1;
             return;
         }
-        let is_told = |session: &Session| session.is_subscribed(object);
+        let is_told = |session: &Session| session.is_told(object);
         let told: Vec<SessionId> =
             self.live().filter(|&(to, session)| to != id && is_told(session)).map(|(to, _)| to).collect();
         let message = ServerControl::Payload { object: Some(object), bytes: bytes.clone() };

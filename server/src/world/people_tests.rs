@@ -199,8 +199,9 @@ fn a_token_to_come_back_with_is_good_once_and_for_its_owner_only() {
     assert_eq!(welcome_of(&news).continuity, Continuity::New, "another's token");
     let (_, news) = hello(&mut world, 6, ACTOR, Role::Avatar, Some(Resume { token: [0; 16], heard: Some(1) }));
     assert_eq!(welcome_of(&news).continuity, Continuity::New, "no token at all");
-    let (_, news) = hello(&mut world, 7, ACTOR, Role::Avatar, back(Some(1)));
+    let (mut again, news) = hello(&mut world, 7, ACTOR, Role::Avatar, back(Some(1)));
     assert_eq!(welcome_of(&news).continuity, Continuity::Kept);
+    tell(&mut world, &mut again, &[]);
     let (_, news) = hello(&mut world, 8, ACTOR, Role::Avatar, back(Some(1)));
     assert_eq!(welcome_of(&news).continuity, Continuity::New, "used up");
 }
@@ -376,7 +377,7 @@ fn a_rank_lets_one_be_so_much_and_no_more() {
         (2, b"\x00v", Role::Viewer, true),
         (3, b"\x00v", Role::Avatar, false),
         (4, b"\x00v", avatars(1), false),
-        (5, b"\x01a", Role::Viewer, true),
+        (5, b"\x01a", Role::Viewer, false),
         (6, b"\x01a", avatars(2), true),
         (7, b"\x01a", avatars(3), false),
     ] {
@@ -416,4 +417,72 @@ fn an_actors_eye_stays_by_its_avatar_and_who_may_fly_looks_from_anywhere() {
     let pose = ClientRecord::Pose { object: ObjectId(0), position, orientation: Orientation::default() };
     tell(&mut world, &mut viewer, &[pose]);
     assert_eq!(world.stats().forbidden, 1);
+}
+
+#[test]
+fn a_thing_cannot_be_teleported_or_taken_out_of_the_world_by_who_holds_it() {
+    let (mut world, mut a, _) = furnished();
+    tell(&mut world, &mut a, &[wants(CHAIR)]);
+    told(&mut world, a.id);
+    assert_eq!(takes(&mut world, &mut a, CHAIR), Hold::Yours);
+    tick(&mut world);
+    let before = world.objects()[CHAIR.index()].position;
+    for present in [true, false] {
+        say(
+            &mut world,
+            &mut a,
+            &ClientControl::Place { object: CHAIR, position: Position { x: 99, y: 0, z: 0 }, present },
+        );
+    }
+    tick(&mut world);
+    let chair = &world.objects()[CHAIR.index()];
+    assert_eq!((chair.position, chair.present, world.stats().forbidden), (before, true, 2));
+}
+
+#[test]
+fn an_avatar_that_is_nowhere_lends_its_owner_no_eye() {
+    let (mut world, mut actor, mut operator) = two(Box::new(Broadcast));
+    for (client, object) in [(&mut actor, ObjectId(0)), (&mut operator, ObjectId(1))] {
+        say(&mut world, client, &ClientControl::Place { object, position: Position::default(), present: false });
+    }
+    tick(&mut world);
+    assert_eq!((eye_of(&world, &actor), eye_of(&world, &operator)), (None, Some(0.0)));
+}
+
+#[test]
+fn who_did_not_hear_the_welcome_may_come_back_with_the_token_before() {
+    let (mut world, actor, _) = two(Box::new(Visible));
+    world.disconnect(actor.id);
+    let (lost, _) = hello(&mut world, 5, ACTOR, Role::Avatar, back(Some(1)));
+    world.disconnect(lost.id);
+    let (mut again, news) = hello(&mut world, 6, ACTOR, Role::Avatar, back(Some(1)));
+    assert_eq!(welcome_of(&news).continuity, Continuity::Kept);
+    // Once it is heard of, only the newest token is good.
+    tell(&mut world, &mut again, &[]);
+    world.disconnect(again.id);
+    let (_, news) = hello(&mut world, 7, ACTOR, Role::Avatar, Some(Resume { token: [5; 16], heard: Some(1) }));
+    assert_eq!(welcome_of(&news).continuity, Continuity::New);
+}
+
+#[test]
+fn who_comes_back_with_nothing_holds_nothing_and_who_kept_all_hears_what_it_holds() {
+    for (kept, hold) in [(Some(1), Some(Hold::Yours)), (None, None)] {
+        let (mut world, mut a, mut b) = furnished();
+        for client in [&mut a, &mut b] {
+            tell(&mut world, client, &[wants(CHAIR)]);
+        }
+        told(&mut world, a.id);
+        assert_eq!(takes(&mut world, &mut a, CHAIR), Hold::Yours);
+        tick(&mut world);
+        world.disconnect(a.id);
+        // The roster came in one piece, and its own coming was announced.
+        let heard_before = kept.map(|count: u32| count + 1);
+        let (_, news) = hello(&mut world, 9, ACTOR, Role::Avatar, back(heard_before));
+        let held = news.iter().find_map(|message| match message {
+            ServerControl::Held { object: CHAIR, hold } => Some(*hold),
+            _ => None,
+        });
+        assert_eq!(held, hold, "{:?}", welcome_of(&news).continuity);
+        assert_eq!(world.objects()[CHAIR.index()].owner.is_some(), hold.is_some());
+    }
 }

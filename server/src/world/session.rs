@@ -134,6 +134,8 @@ pub(super) struct Session {
     /// Since when its connection has been lost, if it is.
     pub away_since: Option<WorldTime>,
     pub roster: RosterMark,
+    /// The token that it came back with last, until it is heard to have the new one's welcome.
+    pub resume_before: Option<[u8; 16]>,
     /// Things of the world that it moves.
     pub things: Vec<ObjectId>,
     pub own_eye: Option<OwnEye>,
@@ -187,6 +189,7 @@ impl Session {
             came_at: now,
             away_since: None,
             roster: RosterMark::default(),
+            resume_before: None,
             things: Vec::new(),
             own_eye: None,
             is_refused: false,
@@ -219,6 +222,7 @@ impl Session {
 
     /// Goes on over the connection of `fresh`. What was under way on the old one is lost, so what may have been is due again.
     pub fn take_over(&mut self, fresh: Session, now: WorldTime, tracking: bool) {
+        self.resume_before = Some(self.caller.resume);
         self.caller = fresh.caller;
         (self.interest, self.focal) = (fresh.interest, fresh.focal);
         self.datagram_limit = fresh.datagram_limit;
@@ -327,6 +331,11 @@ impl Session {
     pub fn watcher(&self, session: SessionId, objects: &[Object], avatar_class: &Class) -> Option<Watcher> {
         let Phase::Live { watches: true, .. } = self.phase else { return None };
         let avatar = self.avatars.first().copied();
+        // An avatar that is not in the world lends no eye, but to who may fly.
+        let is_there = |avatar: &ObjectId| objects[avatar.index()].present || self.permit.rank >= Rank::Operator;
+        if avatar.as_ref().is_some_and(|avatar| !is_there(avatar)) {
+            return None;
+        }
         let body = avatar.map(|avatar| {
             let object = &objects[avatar.index()];
             (object.position.metres() + DVec3::Y * avatar_class.eye_height, object.orientation.yaw())
@@ -357,6 +366,12 @@ impl Session {
 
     pub fn is_subscribed(&self, object: ObjectId) -> bool {
         self.subscriptions.get(&object).is_some_and(|subscription| subscription.active)
+    }
+
+    /// Whether it is told of the object, and has been since it asked: not only that it wants to be.
+    pub fn is_told(&self, object: ObjectId) -> bool {
+        let is_told = |told: &Subscription| told.active && !told.withheld && told.sent != WorldTime::MIN;
+        self.subscriptions.get(&object).is_some_and(is_told)
     }
 
     /// Tells of the object from now on, and now in any case: the request may be sent again because the answer got lost.

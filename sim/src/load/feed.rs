@@ -2,8 +2,8 @@
 //! and say it again.
 //!
 //! A world is deterministic: the same inputs at the same times give the same outputs. So sessions and trackers play once, in
-//! virtual time, and what reached the world is kept; [`Feed::replay`] then costs only the world. The path of the recording
-//! takes [`ONE_WAY`] and loses nothing.
+//! virtual time, and what reached the world is kept; [`Prepared::replay`] then costs only the world. The path of the recording
+//! takes `ONE_WAY` and loses nothing.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
