@@ -117,12 +117,7 @@ impl Delaunay {
     }
 
     /// Makes the cells of a scene over given sites within its root box.
-    fn of_sites(
-        scene: &Scene,
-        root: Aabb,
-        mut sites: Vec<DVec3>,
-        seed: u64,
-    ) -> Result<Delaunay, DelaunayError> {
+    fn of_sites(scene: &Scene, root: Aabb, mut sites: Vec<DVec3>, seed: u64) -> Result<Delaunay, DelaunayError> {
         let longest = root.size().max_element();
         let mut chance = Chance(seed ^ 0xC0);
         for corner in root.corners() {

@@ -7,10 +7,11 @@
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, Budget, CentroidOrder, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, Delaunay, DelaunayRules, DepthBuffer, EyeRegion,
-    FrustumBackface, HierarchicalZ, KdRules, KdTree, LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders,
-    Occlusion, Octree, OctreeRules, Plp, PlpCells, PlpCuller, PlpRules, QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch,
-    Tessellation, Triangle, View, ZBuffer,
+    Aabb, Budget, CentroidOrder, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, Delaunay,
+    DelaunayRules, DepthBuffer, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree, LargeOccluder,
+    LargeOccluderRules, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules, Plp, PlpCells, PlpCuller, PlpRules,
+    QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, Triangle, View,
+    ZBuffer,
 };
 
 use super::budget::AskedBudget;
@@ -626,7 +627,10 @@ mod tests {
                 && text.contains("zbuffer, frustum-backface, frustum, large-occluder, masked, cplp"),
             "{text}"
         );
-        assert!(message(&sweep(&[], &["bsp"], &[], &[])).contains("no tessellation `bsp`; known: delaunay, kd-tree, octree"));
+        assert!(
+            message(&sweep(&[], &["bsp"], &[], &[]))
+                .contains("no tessellation `bsp`; known: delaunay, kd-tree, octree")
+        );
         assert!(message(&sweep(&[], &[], &["gpu"], &[])).contains("no query `gpu`; known: histogram, "));
         let other = Entry { name: "other", tessellations: &["slabs"], ..*registry.entry("cplp").unwrap() };
         let error = Registry::standard().with(other).settings(&sweep(&["cplp"], &["slabs"], &[], &[])).unwrap_err();

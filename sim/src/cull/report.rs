@@ -81,13 +81,17 @@ pub fn report(run: Run, world: &World, outcome: &Outcome, config: &CullConfig) -
             (at(row), row.total_ms)
         }));
         // PLP's table 1 and figure 12.
-        report.plots.push(by_budget(outcome, "Visible primitives found (ε_k) over PLP's budget", budget(), "ε_k", &|row| {
-            (at(row), row.visible_found_mean)
-        }));
+        report.plots.push(by_budget(
+            outcome,
+            "Visible primitives found (ε_k) over PLP's budget",
+            budget(),
+            "ε_k",
+            &|row| (at(row), row.visible_found_mean),
+        ));
         let worst = "Wrong pixels of the worst view over PLP's budget";
-        report.plots.push(by_budget(outcome, worst, budget(), "wrong pixels (%)", &|row| {
-            (at(row), row.wrong_percent_max)
-        }));
+        report
+            .plots
+            .push(by_budget(outcome, worst, budget(), "wrong pixels (%)", &|row| (at(row), row.wrong_percent_max)));
         report.plots.push(by_budget(outcome, "Rounds of queries over PLP's budget", budget(), "rounds", &|row| {
             (at(row), row.rounds)
         }));

@@ -114,7 +114,11 @@ pub fn columns() -> Vec<Column> {
         column("visible_found_mean", "", "mean over views of ε_k, the share of a view's exact set that was reported"),
         column("visible_found_least", "", "least ε_k of a view"),
         column("wrong_percent_max", "%", "wrong_pixels_max of all pixels"),
-        column("churn", "", "share of what a view shows of its exact set that the view before did not show, mean: popping"),
+        column(
+            "churn",
+            "",
+            "share of what a view shows of its exact set that the view before did not show, mean: popping",
+        ),
         column("kept", "", "primitives reported per view, mean"),
         column("exact", "", "primitives of the exact set per view, mean"),
         column("kept_over_exact", "", "kept / exact"),
