@@ -14,7 +14,7 @@ use simple_delaunay_lib::delaunay_3d::delaunay_struct_3d::DelaunayStructure3D;
 use simple_delaunay_lib::delaunay_3d::simplicial_struct_3d::Node;
 
 use crate::tessellation::root_box;
-use crate::{Aabb, CellId, Octree, OctreeRules, Scene, Tessellation};
+use crate::{Aabb, CellId, Face, Octree, OctreeRules, Scene, Tessellation};
 
 /// How sites are chosen.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,13 +26,17 @@ pub struct DelaunayRules {
     /// How far a centre is moved along each axis, as a share of its leaf's side: from 0 to 0.5, else cut to that. Exact
     /// centres of octree leaves lie on common spheres by the dozen. Default 0.1.
     pub jitter: f64,
+    /// Whether leaves at the box's faces have a second site there, near the face. Without these (the paper's way) all that
+    /// lies outside the outermost centres is in long cells that end at the eight corners: half a leaf above the ground, say.
+    /// Default true.
+    pub on_faces: bool,
     /// Decides the perturbation. Default 1.
     pub seed: u64,
 }
 
 impl Default for DelaunayRules {
     fn default() -> DelaunayRules {
-        DelaunayRules { octree: OctreeRules::paper(), jitter: 0.1, seed: 1 }
+        DelaunayRules { octree: OctreeRules::paper(), jitter: 0.1, on_faces: true, seed: 1 }
     }
 }
 
@@ -40,6 +44,11 @@ impl DelaunayRules {
     /// The rules with another octree.
     pub fn with_octree(self, octree: OctreeRules) -> DelaunayRules {
         DelaunayRules { octree, ..self }
+    }
+
+    /// The paper's: no sites but leaves' centres and the corners of the box.
+    pub fn paper() -> DelaunayRules {
+        DelaunayRules { on_faces: false, ..DelaunayRules::default() }
     }
 
     /// The rules with another perturbation.
@@ -113,7 +122,19 @@ impl Delaunay {
             let moved = aabb.centre() + within(aabb.size() * jitter);
             moved.clamp(aabb.min, aabb.max)
         });
-        Delaunay::of_sites(scene, root, centres.collect(), rules.seed)
+        let mut sites: Vec<DVec3> = centres.collect();
+        if rules.on_faces {
+            for face in Face::ALL {
+                for cell in octree.hull(face).iter().map(|&cell| octree.cell(cell)) {
+                    let mut site = cell.centre() + within(cell.size() * jitter);
+                    let axis = face.axis();
+                    let depth = cell.size()[axis] * 0.02 + (site[axis] - cell.centre()[axis]).abs() * 0.2;
+                    site[axis] = if face.is_positive() { cell.max[axis] - depth } else { cell.min[axis] + depth };
+                    sites.push(site);
+                }
+            }
+        }
+        Delaunay::of_sites(scene, root, sites, rules.seed)
     }
 
     /// Makes the cells of a scene over given sites within its root box.
@@ -192,9 +213,13 @@ impl Delaunay {
         cell
     }
 
-    /// The cell that contains `point`, or `None` outside the root box. On a shared face, one of the two.
+    /// The cell that contains `point`, or `None` outside the hull. On a shared face, one of the two.
     pub fn cell_at(&self, point: DVec3) -> Option<CellId> {
-        self.root.contains(point).then(|| self.walk(0, point))
+        let cell = self.walk(0, point);
+        let Tetrahedron { neighbours, normals, heights, .. } = &self.cells[cell as usize];
+        // The walk ends in front of a face of the hull if the point is outside.
+        let is_outside = |face: usize| neighbours[face] == NONE && normals[face].dot(point) > heights[face];
+        (point.is_finite() && !(0..4).any(is_outside)).then_some(cell)
     }
 
     /// The box that the cells more than fill: the scene's, inflated a little.

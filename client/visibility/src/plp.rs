@@ -8,7 +8,7 @@
 //! and looked at in between from elsewhere. A frame begins without touching all cells; marks carry their frame's number.
 
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, VecDeque};
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -18,7 +18,7 @@ use crate::plp_coverage::CoverageImage;
 use crate::plp_rules::{PlpRules, Requeue, Seeds, Solidity, SolidityMax, Transfer};
 use crate::raster_sampled::Coverage;
 use crate::raster_sampled::setup::Projector;
-use crate::{CellId, Scene, View};
+use crate::{CellId, Scene, Sides, Triangle, View};
 
 /// PLP over the cells of a tessellation. Never changes once made, so that workers can share it.
 #[derive(Clone, Debug)]
@@ -45,7 +45,11 @@ pub struct PlpScratch {
     projected: Vec<CellId>,
     /// Triangles of projected cells that looked covered.
     waiting: Vec<u32>,
+    /// Cells that looked covered when their turn came.
+    covered: VecDeque<CellId>,
     coverage: CoverageImage,
+    /// Of a cell under way: triangles by distance.
+    order: Vec<(f32, u32)>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -96,7 +100,9 @@ impl Default for PlpScratch {
             drawn: Vec::new(),
             projected: Vec::new(),
             waiting: Vec::new(),
+            covered: VecDeque::new(),
             coverage: CoverageImage::new(),
+            order: Vec::new(),
         }
     }
 }
@@ -136,6 +142,7 @@ impl PlpScratch {
         self.drawn.clear();
         self.projected.clear();
         self.waiting.clear();
+        self.covered.clear();
     }
 
     fn state(&self, cell: CellId) -> Option<CellState> {
@@ -205,14 +212,17 @@ impl Plp {
     pub fn traverse<'a>(&'a self, view: &View, budget: usize, scratch: &'a mut PlpScratch) -> PlpTraversal<'a> {
         scratch.begin(&self.cells);
         let view = view.or_without_pixels();
-        if let Solidity::Coverage { columns } = self.rules.solidity {
+        let by_coverage = if let Solidity::Coverage { columns } = self.rules.solidity {
             scratch.coverage.begin(&view, columns);
-        }
+            true
+        } else {
+            false
+        };
         let forward = view.axes()[2];
         let mut traversal = PlpTraversal {
             plp: self,
             projector: Projector::new(&view),
-            drawable: Coverage::new(&view),
+            drawable: Drawable::new(&view, by_coverage),
             eye: view.eye,
             forward,
             budget,
@@ -230,7 +240,7 @@ impl Plp {
 pub struct PlpTraversal<'a> {
     plp: &'a Plp,
     projector: Projector,
-    drawable: Coverage,
+    drawable: Drawable,
     eye: DVec3,
     forward: DVec3,
     budget: usize,
@@ -287,19 +297,22 @@ impl PlpTraversal<'_> {
             if state.entered != entry.entered {
                 continue;
             }
-            if matches!(self.plp.rules.solidity, Solidity::Coverage { .. }) {
-                // More was drawn since it entered. If it is more hidden than the next one now, it waits its turn.
+            if self.by_coverage() {
                 let solidity = self.covered_share(entry.cell);
-                let next = self.scratch.front.peek().map_or(f32::INFINITY, |Reverse(next)| next.solidity);
-                if solidity > entry.solidity && solidity > next {
-                    self.scratch.enqueue(entry.cell, solidity);
+                if solidity >= 1.0 {
+                    self.scratch.close(entry.cell, solidity);
+                    self.scratch.covered.push_back(entry.cell);
                     continue;
                 }
                 return Some((entry.cell, solidity));
             }
             return Some((entry.cell, entry.solidity));
         }
-        None
+        self.scratch.covered.pop_front().map(|cell| (cell, 1.0))
+    }
+
+    fn by_coverage(&self) -> bool {
+        matches!(self.plp.rules.solidity, Solidity::Coverage { .. })
     }
 
     /// Solidity by coverage: of a cell's triangles, or of its middle and corners if it has none.
@@ -310,7 +323,7 @@ impl PlpTraversal<'_> {
         let stride = primitives.len().div_ceil(SAMPLES).max(1);
         for &id in primitives.iter().step_by(stride).filter(|id| seen[**id as usize] != *frame) {
             let triangle = &self.plp.scene.triangles()[id as usize];
-            if self.drawable.may_draw(triangle) {
+            if self.drawable.holds(triangle) {
                 asked += 1;
                 covered += u32::from(coverage.covers_triangle(triangle));
             }
@@ -331,15 +344,25 @@ impl PlpTraversal<'_> {
     /// Draws the triangles of a cell that were not drawn yet, as far as the budget goes.
     fn project(&mut self, cell: CellId, solidity: f32) -> PlpStep {
         self.scratch.projected.push(cell);
-        let by_coverage = matches!(self.plp.rules.solidity, Solidity::Coverage { .. });
+        let by_coverage = self.by_coverage();
         let before = self.scratch.drawn.len();
         let mut is_partial = false;
+        let mut order = std::mem::take(&mut self.scratch.order);
+        order.clear();
+        let triangles = self.plp.scene.triangles();
         for &id in self.plp.cells.primitives(cell) {
-            let scratch = &mut *self.scratch;
-            let triangle = &self.plp.scene.triangles()[id as usize];
-            if scratch.seen[id as usize] == scratch.frame || !self.drawable.may_draw(triangle) {
-                continue;
+            let triangle = &triangles[id as usize];
+            if self.scratch.seen[id as usize] != self.scratch.frame && self.drawable.holds(triangle) {
+                let [a, b, c] = triangle.corners;
+                order.push((((a + b + c) / 3.0).distance_squared(self.eye.as_vec3()), id));
             }
+        }
+        if by_coverage {
+            order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        }
+        for &(_, id) in &order {
+            let scratch = &mut *self.scratch;
+            let triangle = &triangles[id as usize];
             if scratch.drawn.len() >= self.budget {
                 is_partial = true;
                 break;
@@ -354,6 +377,7 @@ impl PlpTraversal<'_> {
             }
             scratch.drawn.push(id);
         }
+        self.scratch.order = order;
         PlpStep { cell: Some(cell), solidity, triangles: self.scratch.drawn.len() - before, is_partial }
     }
 
@@ -370,10 +394,10 @@ impl PlpTraversal<'_> {
                 return;
             }
             let accumulated = match rules.solidity {
-                // What covers it does not depend on the way to it, and is looked at again when its turn comes.
+                // What covers it does not depend on the way to it, and is looked at when its turn comes.
                 Solidity::Coverage { .. } => {
                     if known.is_none() {
-                        batch.push((portal.cell, 0.0));
+                        batch.push((portal.cell, self.plp.cells.centre(portal.cell).distance(self.eye) as f32));
                     }
                     return;
                 }
@@ -383,8 +407,9 @@ impl PlpTraversal<'_> {
                         Transfer::View => self.forward,
                         Transfer::Cell => (middle - self.eye).normalize_or_zero(),
                     };
-                    // Figure 5. A face that looks back towards the eye transfers nothing.
-                    let transfer = direction.dot(portal.normal).max(0.0) as f32;
+                    // Figure 5. "How orthogonal the face is to the view direction" has no sign: a way back transfers as much as
+                    // the way there, or else every cell could be reached from behind with nothing accumulated.
+                    let transfer = direction.dot(portal.normal).abs() as f32;
                     let accumulated = own + transfer * solidity;
                     let is_star_shaped = portal.is_passed(self.eye, middle);
                     if is_star_shaped { accumulated } else { accumulated * rules.penalty_factor }
@@ -400,8 +425,6 @@ impl PlpTraversal<'_> {
                 self.scratch.close(cell, f32::INFINITY);
                 continue;
             }
-            let by_coverage = matches!(rules.solidity, Solidity::Coverage { .. });
-            let accumulated = if by_coverage { self.covered_share(cell) } else { accumulated };
             self.scratch.enqueue(cell, accumulated);
         }
         self.batch = batch;
@@ -432,5 +455,38 @@ impl Iterator for PlpTraversal<'_> {
     }
 }
 
+/// Which triangles are drawn and counted: those in view and not turned away (§5), by the rule of coverage without those
+/// that hold no pixel centre.
+struct Drawable {
+    projector: Projector,
+    eye: DVec3,
+    centres: Option<Coverage>,
+}
+
+impl Drawable {
+    fn new(view: &View, only_with_centres: bool) -> Drawable {
+        let centres = only_with_centres.then(|| Coverage::new(view));
+        Drawable { projector: Projector::new(view), eye: view.eye, centres }
+    }
+
+    fn holds(&self, triangle: &Triangle) -> bool {
+        match &self.centres {
+            Some(centres) => centres.may_draw(triangle),
+            None => in_view_and_facing(&self.projector, self.eye, triangle),
+        }
+    }
+}
+
+/// View-frustum and back-face culling of one triangle.
+pub(crate) fn in_view_and_facing(projector: &Projector, eye: DVec3, triangle: &Triangle) -> bool {
+    let corners = triangle.corners.map(|corner| corner.as_dvec3());
+    let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+    if triangle.sides == Sides::Front && normal.dot(eye - corners[0]) <= 0.0 {
+        return false;
+    }
+    let points = corners.map(|corner| projector.view_point(corner));
+    points.iter().any(|p| p.w >= projector.near) && !projector.outside(&points, 0.0)
+}
+
 /// The most triangles of a cell that are asked about before it is projected.
-const SAMPLES: usize = 32;
+const SAMPLES: usize = 16;

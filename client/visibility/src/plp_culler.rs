@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use crate::culler::{Culled, Culler, everything};
-use crate::plp::Plp;
-use crate::raster_sampled::Coverage;
-use crate::{EyeRegion, Scene, Scratch, Traversal, View};
+use crate::plp::{Plp, in_view_and_facing};
+use crate::raster_sampled::setup::Projector;
+use crate::{EyeRegion, Scene, Scratch, Traversal, Triangle, View};
 
 /// PLP with a budget. Not conservative, and hides nothing: it knows no depths that speak for the view.
 ///
@@ -42,17 +42,22 @@ impl Culler for PlpCuller {
     }
 }
 
-/// The paper's baseline (§4.5): triangles in view and not turned away by the distance of their centroids, up to a budget.
+/// The paper's baseline (§4.5): triangles by the distance of their centroids, up to a budget; of these, those in view and not
+/// turned away are drawn.
+///
+/// The paper sorts "all of the triangles" and renders "in that order up to the specified budget". Whether a triangle that is then
+/// culled uses up budget it does not say, so that both are here.
 #[derive(Clone, Debug)]
 pub struct CentroidOrder {
     scene: Arc<Scene>,
     budget: usize,
+    culls_first: bool,
 }
 
 impl CentroidOrder {
-    /// Draws at most `budget` triangles a view.
-    pub fn new(scene: Arc<Scene>, budget: usize) -> CentroidOrder {
-        CentroidOrder { scene, budget }
+    /// Takes the `budget` nearest triangles: of all, or if `culls_first` of those in view and not turned away.
+    pub fn new(scene: Arc<Scene>, budget: usize, culls_first: bool) -> CentroidOrder {
+        CentroidOrder { scene, budget, culls_first }
     }
 }
 
@@ -62,10 +67,11 @@ impl Culler for CentroidOrder {
         if view.check().is_err() || region != EyeRegion::point(view.eye) {
             return everything(&self.scene);
         }
-        let coverage = Coverage::new(view);
+        let projector = Projector::new(view);
+        let drawable = |triangle: &Triangle| in_view_and_facing(&projector, view.eye, triangle);
         let mut order: Vec<(f64, u32)> = (0..)
             .zip(self.scene.triangles())
-            .filter(|(_, triangle)| coverage.may_draw(triangle))
+            .filter(|(_, triangle)| !self.culls_first || drawable(triangle))
             .map(|(id, triangle)| {
                 let [a, b, c] = triangle.corners.map(|corner| corner.as_dvec3());
                 (((a + b + c) / 3.0).distance_squared(view.eye), id)
@@ -77,6 +83,7 @@ impl Culler for CentroidOrder {
             order.truncate(self.budget);
         }
         let mut visible: Vec<u32> = order.into_iter().map(|(_, id)| id).collect();
+        visible.retain(|&id| self.culls_first || drawable(&self.scene.triangles()[id as usize]));
         visible.sort_unstable();
         let drawn = visible.len();
         let traversal = Traversal { triangles_drawn: drawn, plp_triangles: drawn, ..Traversal::default() };

@@ -27,8 +27,9 @@ pub struct PlpRules {
 pub enum Solidity {
     /// The paper's: triangles of the cells passed on the way, as shares of ρ_max, accumulated face by face (§3.2).
     Count,
-    /// The share of a cell's triangles that what was projected so far covers, in an image of `columns` pixels across. Triangles
-    /// of a projected cell that look covered wait until the front is empty.
+    /// The share of a cell's triangles that what was projected so far covers, in an image of `columns` pixels across. The front
+    /// is taken by distance; a cell whose triangles all look covered waits until it is empty, and so do, of the triangles of a
+    /// projected cell, those that look covered. Triangles that hold no pixel centre are left out altogether.
     Coverage {
         /// Columns of the image; more: fewer wrong guesses, more time. 0 counts as 1.
         columns: u32,

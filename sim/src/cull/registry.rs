@@ -427,7 +427,7 @@ impl Registry {
             },
             Entry {
                 name: "centroid",
-                about: "triangles in view by distance up to a budget: PLP's baseline, not conservative",
+                about: "the nearest triangles of the scene up to a budget, then culled: PLP's baseline, not conservative",
                 conservative: false,
                 by_rays: false,
                 tessellations: &[],
@@ -435,7 +435,20 @@ impl Registry {
                 budget: Some(PLP_BUDGET),
                 make: |shop, setting| {
                     let budget = shop.budget(setting);
-                    Box::new(WithScratch::new(CentroidOrder::new(shop.scene(), budget)))
+                    Box::new(WithScratch::new(CentroidOrder::new(shop.scene(), budget, false)))
+                },
+            },
+            Entry {
+                name: "centroid-culled",
+                about: "the same with culling first, so that only what is in view and not turned away counts",
+                conservative: false,
+                by_rays: false,
+                tessellations: &[],
+                queries: &[],
+                budget: Some(PLP_BUDGET),
+                make: |shop, setting| {
+                    let budget = shop.budget(setting);
+                    Box::new(WithScratch::new(CentroidOrder::new(shop.scene(), budget, true)))
                 },
             },
             Entry {
@@ -597,6 +610,7 @@ mod tests {
             "plp · delaunay · 10%",
             "plp-paper · delaunay · 10%",
             "centroid · 10%",
+            "centroid-culled · 10%",
             "query-front-to-back · octree · sampled",
             "hierarchical-z · octree · pyramid",
             "region · octree · under",

@@ -1,12 +1,13 @@
-//! The maker `city`: ninety furnished houses along streets, about half a million triangles, nearly all of them hidden
+//! The maker `city`: thirty furnished houses along streets, about half a million triangles, nearly all of them hidden
 //! (the CITY of Klosowski & Silva 2000, §5, in spirit).
 //!
-//! Each house has one to three storeys of two rooms with furniture of 256 triangles a piece, walls with open windows and an
-//! open front door, and a gable roof. Outside, walls and roofs are cut into panels of about a metre, so that what is seen of
+//! Each house has two to four storeys of two rooms with a bookcase and four pieces of furniture each, walls with open windows and an
+//! open front door, and a gable roof. Outside, walls and roofs are cut into panels of about a metre and a half, so that what is seen of
 //! a street has triangles to lose too. Houses stand in blocks of two rows back to back. All materials are single-sided.
 //!
-//! The path is fixed but for the seed's houses: along a street, round a corner, up and across the roofs, and down again
-//! through a front door into a room, 200 views in steps small enough that one frame tells something of the next.
+//! The path is fixed but for the seed's houses: over the roofs round two sides of the city, down into a street and along it,
+//! up between the roofs again, and down through a front door into a room; 200 views in steps small enough that one frame
+//! tells something of the next.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -14,7 +15,7 @@ use glam::{DQuat, DVec2, DVec3, Vec3};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-use super::furniture::{Piece, pieces};
+use super::furniture::{Piece, bookcase, pieces};
 use super::glb::{GlbWriter, MaterialId, MeshId, Node, Triangles};
 use super::made::{CAMERAS_MAX, MadeError, MadeModel, check};
 use super::patch::{push_patch, push_prism};
@@ -32,12 +33,11 @@ const WALL: f64 = 0.25;
 const WINDOW: (f64, f64, f64, f64) = (0.9, 2.1, 1.2, 2.4);
 const DOOR: (f64, f64) = (1.1, 2.1);
 /// About the side of a panel of walls and roofs, and how far panels stand before their wall.
-const PANEL: f64 = 1.0;
+const PANEL: f64 = 1.5;
 const PROUD: f64 = 0.01;
 /// Rise of a roof over its half depth, and how far it reaches over the walls.
 const PITCH: f64 = 0.7;
 const EAVES: f64 = 0.4;
-const PIECES_PER_ROOM: usize = 4;
 /// Different houses; more would only make the file longer.
 const MODELS: u32 = 12;
 const EYE_HEIGHT: f64 = 1.6;
@@ -45,9 +45,9 @@ const EYE_HEIGHT: f64 = 1.6;
 /// What the maker `city` is asked for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CityRules {
-    /// Houses along +X. Default 9.
+    /// Houses along +X. Default 5.
     pub columns: u32,
-    /// Blocks of two rows each along +Z. Default 5: with 9 columns about half a million triangles.
+    /// Blocks of two rows each along +Z. Default 3: with 5 columns about half a million triangles.
     pub blocks: u32,
     /// Views of the path, which is cut finer or coarser. Default 200.
     pub cameras: u32,
@@ -57,7 +57,7 @@ pub struct CityRules {
 
 impl Default for CityRules {
     fn default() -> CityRules {
-        CityRules { columns: 9, blocks: 5, cameras: 200, seed: 1 }
+        CityRules { columns: 5, blocks: 3, cameras: 200, seed: 1 }
     }
 }
 
@@ -86,11 +86,12 @@ pub fn make(rules: &CityRules) -> Result<MadeModel, MadeError> {
     let pieces = pieces();
     let furniture: Vec<MeshId> =
         pieces.iter().map(|piece| writer.mesh(piece.name, &piece.mesh, Some(oak))).collect::<Result<_, _>>()?;
+    let bookcase = writer.mesh("bookcase", &bookcase(), Some(oak))?;
     let models: Vec<(House, [MeshId; 2])> = (0..MODELS)
         .map(|model| {
             let house = House {
                 size: DVec2::new(chance.random_range(9.0..11.0), chance.random_range(7.5..9.0)),
-                storeys: [2, 2, 3, 1, 2, 3][model as usize % 6],
+                storeys: [3, 3, 4, 2, 3, 4][model as usize % 6],
             };
             let shell = writer.mesh(&format!("walls.{model}"), &walls(&house), Some(plaster))?;
             let roof = writer.mesh(&format!("roof.{model}"), &roof(&house), Some(tiles))?;
@@ -110,7 +111,7 @@ pub fn make(rules: &CityRules) -> Result<MadeModel, MadeError> {
             for (number, (piece, place, heading)) in furnish(&house, &pieces, &mut chance).into_iter().enumerate() {
                 writer.node(Node {
                     name: format!("object.{row}.{column}.{number}"),
-                    mesh: Some(furniture[piece]),
+                    mesh: Some(piece.map_or(bookcase, |piece| furniture[piece])),
                     translation: at + turn * place,
                     rotation: (turn * DQuat::from_rotation_y(heading)).normalize(),
                 })?;
@@ -138,7 +139,7 @@ fn cross_street(column: u32) -> f64 {
 /// Ground in squares, so that a far one is not drawn for a near one.
 fn ground(writer: &mut GlbWriter, material: MaterialId, rules: &CityRules) -> Result<(), MadeError> {
     let (last, _) = plot(2 * rules.blocks - 1, rules.columns - 1);
-    let margin = 30.0;
+    let margin = 6.0;
     let size = DVec2::new(last.x + PLOT.0 * 0.5, last.z + PLOT.1 * 0.5 + STREET) + 2.0 * margin;
     let mut mesh = Triangles::default();
     let [x, z] = size.to_array().map(|side| (side / 6.0).ceil() as u32);
@@ -219,14 +220,10 @@ fn outer_wall(mesh: &mut Triangles, length: f64, out: f64, door: Option<f64>) {
     }
     solid(x, 0.5 * length, 0.0, STOREY);
     for &[from, to, bottom, top] in openings.iter().filter(|opening| opening[2] > 0.0) {
-        // A cross of bars in each window.
-        let (x, y, z) = ((from + to) * 0.5, (bottom + top) * 0.5, 0.5 * WALL - out);
-        for (min, max) in [
-            (DVec3::new(x - 0.03, bottom, z - 0.03), DVec3::new(x + 0.03, top, z + 0.03)),
-            (DVec3::new(from, y - 0.03, z - 0.02), DVec3::new(to, y + 0.03, z + 0.02)),
-        ] {
-            mesh.push_box(min.as_vec3(), max.as_vec3());
-        }
+        // A bar in each window.
+        let (x, z) = ((from + to) * 0.5, 0.5 * WALL - out);
+        let (min, max) = (DVec3::new(x - 0.03, bottom, z - 0.03), DVec3::new(x + 0.03, top, z + 0.03));
+        mesh.push_box(min.as_vec3(), max.as_vec3());
     }
 }
 
@@ -251,24 +248,28 @@ fn append(mesh: &mut Triangles, part: &Triangles, turn: DQuat, offset: DVec3) {
     mesh.indices.extend(part.indices.iter().map(|index| index + first));
 }
 
-/// Furniture of a house: piece, place and heading. It stands along the side walls and the back, clear of doors and of
+/// Furniture of a house: piece (`None` is a bookcase), place and heading. It stands along the walls, clear of doors and of
 /// each other; the middle of each room stays free to walk in.
-fn furnish(house: &House, pieces: &[Piece], chance: &mut Pcg64) -> Vec<(usize, DVec3, f64)> {
+fn furnish(house: &House, pieces: &[Piece], chance: &mut Pcg64) -> Vec<(Option<usize>, DVec3, f64)> {
     let half = house.size * 0.5 - WALL;
     let mut placed = Vec::new();
     for storey in 0..house.storeys {
         let base = f64::from(storey) * STOREY + 0.02;
         for side in [-1.0, 1.0] {
-            for number in 0..PIECES_PER_ROOM {
+            // In the middle of the outer side wall, its back to it.
+            let back = half.x - 0.2;
+            placed.push((None, DVec3::new(side * back, base, 0.0), -side * FRAC_PI_2));
+            for number in 0..4 {
                 let piece = chance.random_range(0..pieces.len());
                 let radius = pieces[piece].radius + 0.05;
-                // Three along the outer side wall, the fourth in the far corner at the wall between the rooms.
+                // Beside the bookcase, then at the wall between the rooms, in the far corner and before it.
                 let (x, z) = match number {
-                    3 => (0.06 + radius, half.y - radius),
-                    _ => (half.x - radius, half.y * [-0.62, 0.0, 0.62][number]),
+                    0 => (half.x - radius, -half.y * 0.5),
+                    1 => (half.x - radius, half.y * 0.5),
+                    2 => (0.06 + radius, half.y - radius),
+                    _ => (0.06 + radius, half.y * 0.25),
                 };
-                let place = DVec3::new(side * x, base, z);
-                placed.push((piece, place, chance.random_range(-PI..PI)));
+                placed.push((Some(piece), DVec3::new(side * x, base, z), chance.random_range(-PI..PI)));
             }
         }
     }
@@ -292,22 +293,21 @@ fn path(rules: &CityRules, models: &[(House, [MeshId; 2])]) -> CameraPath {
     let eye = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
     let far_x = plot(0, rules.columns - 1).0.x + 0.5 * PLOT.0;
     let far_z = f64::from(rules.blocks) * block;
-    let east = -FRAC_PI_2;
+    // Yaw turns right all the way: −3π/4 looks along +x and +z, −π along +z, −3π/2 along −x.
     let stops: Vec<Stop> = vec![
-        (0.00, eye(-12.0, 1.7, street), east, 0.0),
-        (0.12, eye(cross * 0.45, 1.7, street + 1.0), east - 0.3, 0.0),
-        (0.24, eye(cross - 2.0, 1.7, street), east + 0.2, 0.0),
-        (0.28, eye(cross, 1.7, street + 1.5), PI, 0.0),
-        (0.38, eye(cross, 1.8, street + block * 0.8), PI + 0.25, 0.02),
-        (0.46, eye(cross - 2.0, 13.0, street + block), PI - 0.6, -0.15),
-        (0.56, eye(far_x * 0.2, 15.0, far_z * 0.9), -0.4, -0.2),
-        (0.68, eye(-4.0, 14.0, far_z * 0.55), east + 0.15, -0.15),
-        (0.78, eye(far_x * 0.35, 12.0, far_z * 0.15), east - 0.9, -0.2),
-        (0.84, eye(door.x, 4.0, street - 1.0), PI, -0.1),
-        (0.87, eye(door.x, EYE_HEIGHT, street + 1.5), PI, 0.0),
-        (0.92, eye(door.x, EYE_HEIGHT, door.z + 1.2), PI, 0.0),
-        (0.96, eye(door.x, EYE_HEIGHT, at.z + 0.5), PI - 1.4, 0.0),
-        (1.00, eye(door.x, EYE_HEIGHT, at.z), PI - 3.3, -0.05),
+        (0.00, eye(-40.0, 26.0, -30.0), -0.75 * PI, -0.3),
+        (0.14, eye(far_x * 0.3, 24.0, -32.0), -PI, -0.25),
+        (0.28, eye(far_x + 25.0, 22.0, -20.0), -1.25 * PI, -0.25),
+        (0.40, eye(far_x + 28.0, 16.0, far_z * 0.3), -1.45 * PI, -0.2),
+        (0.48, eye(far_x + 12.0, 1.8, street), -1.5 * PI, 0.0),
+        (0.60, eye(cross + 3.0, 1.7, street + 1.0), -1.52 * PI, 0.0),
+        (0.68, eye(cross, 9.0, street - 0.6 * block), -1.1 * PI, -0.1),
+        (0.78, eye(cross - 4.0, 14.0, street - block), -0.8 * PI, -0.2),
+        (0.85, eye(door.x, 3.0, street - 1.0), -PI, -0.1),
+        (0.88, eye(door.x, EYE_HEIGHT, street + 1.5), -PI, 0.0),
+        (0.92, eye(door.x, EYE_HEIGHT, door.z + 1.2), -PI, 0.0),
+        (0.96, eye(door.x, EYE_HEIGHT, at.z + 0.5), -PI - 1.4, 0.0),
+        (1.00, eye(door.x, EYE_HEIGHT, at.z), -PI - 3.3, -0.05),
     ];
     let camera = |number: u32| {
         let share = f64::from(number) / f64::from(rules.cameras.max(2) - 1);

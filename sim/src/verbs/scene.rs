@@ -21,7 +21,7 @@ pub enum Scene {
     Building(Building),
     /// Floors of furnished offices along corridors, joined by a stairwell: about a million triangles
     Office(Office),
-    /// Ninety furnished houses along streets, with a path through street, roofs and rooms: about 500,000 triangles
+    /// Thirty furnished houses along streets, with a path through street, roofs and rooms: about 500,000 triangles
     City(City),
     /// Five machines of dense parts, with a path around them: about 810,000 triangles
     Engine(Engine),
