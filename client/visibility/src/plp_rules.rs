@@ -31,7 +31,8 @@ pub enum Solidity {
     /// is taken by distance; a cell whose triangles all look covered waits until it is empty, and so do, of the triangles of a
     /// projected cell, those that look covered. Triangles that hold no pixel centre are left out altogether.
     Coverage {
-        /// Columns of the image; more: fewer wrong guesses, more time. 0 counts as 1.
+        /// Columns of the image; more: fewer wrong guesses, more time. 0 counts as 1, and more than the view's as the view's.
+        /// Default 512.
         columns: u32,
     },
 }
@@ -124,6 +125,6 @@ impl PlpRules {
 
 impl Default for PlpRules {
     fn default() -> PlpRules {
-        PlpRules { solidity: Solidity::Coverage { columns: 256 }, seeds: Seeds::Hull, ..PlpRules::paper() }
+        PlpRules { solidity: Solidity::Coverage { columns: 512 }, seeds: Seeds::Hull, ..PlpRules::paper() }
     }
 }

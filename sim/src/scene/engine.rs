@@ -120,7 +120,7 @@ fn body() -> Triangles {
     // Bonnet, roof and boot: along z, across x, facing up.
     for (from, to, height) in [(-long, FIREWALL, bonnet), (-0.3, 1.1, top), (1.5, long, bonnet)] {
         let at = move |s: f32, t: f32| Vec3::new(mix(-wide, wide, t), height + bulge(t) + bulge(s), mix(from, to, s));
-        panel([90, 90], &at, Vec3::NEG_Y * 0.02);
+        panel([16, 16], &at, Vec3::NEG_Y * 0.02);
     }
     // Sides, below the windows: in three lengths that leave the wheel arches open.
     for side in [-1.0_f32, 1.0] {
@@ -132,18 +132,18 @@ fn body() -> Triangles {
                 let z = if side > 0.0 { mix(to, from, t) } else { mix(from, to, t) };
                 Vec3::new(side * (wide + bulge(s)), mix(bottom, bonnet, s), z)
             };
-            panel([40, 40], &at, Vec3::X * (-side * 0.02));
+            panel([8, 8], &at, Vec3::X * (-side * 0.02));
         }
     }
     // Front: a grille of bars, and a bumper; back: closed.
     for bar in 0..14 {
         let y = mix(0.45, bonnet - 0.05, bar as f32 / 13.0);
-        push_grid_box(&mut mesh, Vec3::new(-wide, y, -long), Vec3::new(wide, y + 0.015, -long + 0.03), [60, 1, 1]);
+        push_grid_box(&mut mesh, Vec3::new(-wide, y, -long), Vec3::new(wide, y + 0.033, -long + 0.03), [16, 1, 1]);
     }
-    push_grid_box(&mut mesh, Vec3::new(-wide, low, -long - 0.1), Vec3::new(wide, 0.45, -long), [60, 8, 4]);
-    push_grid_box(&mut mesh, Vec3::new(-wide, low, long), Vec3::new(wide, bonnet, long + 0.1), [60, 20, 4]);
-    push_grid_box(&mut mesh, Vec3::new(-wide, low, FIREWALL), Vec3::new(wide, bonnet, FIREWALL + 0.03), [40, 20, 1]);
-    push_grid_box(&mut mesh, Vec3::new(-wide, low, FIREWALL), Vec3::new(wide, low + 0.03, long), [40, 1, 60]);
+    push_grid_box(&mut mesh, Vec3::new(-wide, low, -long - 0.1), Vec3::new(wide, 0.45, -long), [16, 3, 2]);
+    push_grid_box(&mut mesh, Vec3::new(-wide, low, long), Vec3::new(wide, bonnet, long + 0.1), [16, 6, 2]);
+    push_grid_box(&mut mesh, Vec3::new(-wide, low, FIREWALL), Vec3::new(wide, bonnet, FIREWALL + 0.03), [20, 10, 1]);
+    push_grid_box(&mut mesh, Vec3::new(-wide, low, FIREWALL), Vec3::new(wide, low + 0.03, long), [20, 1, 30]);
     for (x, z) in [(-wide, -0.3), (wide - 0.06, -0.3), (-wide, 1.04), (wide - 0.06, 1.04)] {
         push_grid_box(&mut mesh, Vec3::new(x, bonnet, z), Vec3::new(x + 0.06, top, z + 0.06), [2, 12, 2]);
     }
@@ -157,10 +157,10 @@ fn block() -> Triangles {
     for row in [-1.0_f32, 1.0] {
         for number in 0..4 {
             let foot = Vec3::new(row * 0.12, 0.55, -1.6 + 0.2 * number as f32);
-            push_tube(&mut mesh, foot, foot + Vec3::new(row * 0.12, 0.22, 0.0), 0.085, [40, 24]);
+            push_tube(&mut mesh, foot, foot + Vec3::new(row * 0.12, 0.22, 0.0), 0.085, [24, 12]);
             for fin in 0..6 {
                 let at = foot + Vec3::new(row * 0.12, 0.22, 0.0) * (0.15 + 0.14 * fin as f32);
-                push_ring(&mut mesh, at, Vec3::new(row * 0.48, 0.877, 0.0), [0.09, 0.008], [40, 6]);
+                push_ring(&mut mesh, at, Vec3::new(row * 0.48, 0.877, 0.0), [0.09, 0.008], [24, 6]);
             }
         }
     }
@@ -169,8 +169,8 @@ fn block() -> Triangles {
         push_tube(&mut mesh, Vec3::new(x, y, -1.8), Vec3::new(x, y, -1.7), radius * 0.5, [40, 6]);
     }
     // A radiator of thin fins.
-    for fin in 0..60 {
-        let x = -0.6 + 0.02 * fin as f32;
+    for fin in 0..40 {
+        let x = -0.6 + 0.03 * fin as f32;
         push_grid_box(&mut mesh, Vec3::new(x, 0.4, -2.05), Vec3::new(x + 0.004, 0.85, -1.95), [1, 20, 4]);
     }
     mesh
@@ -180,7 +180,7 @@ fn block() -> Triangles {
 fn pipes(chance: &mut Pcg64) -> Triangles {
     let mut mesh = Triangles::default();
     let mut within = |from: f32, to: f32| chance.random_range(from..to);
-    for _ in 0..60 {
+    for _ in 0..68 {
         let mut at = Vec3::new(within(-0.75, 0.75), within(0.4, 0.85), within(-1.85, -0.8));
         let radius = within(0.012, 0.03);
         for _ in 0..4 {
@@ -190,7 +190,7 @@ fn pipes(chance: &mut Pcg64) -> Triangles {
                 (at.z + within(-0.3, 0.3)).clamp(-1.9, -0.75),
             );
             if next.distance(at) > 0.05 {
-                push_tube(&mut mesh, at, next, radius, [16, 12]);
+                push_tube(&mut mesh, at, next, radius, [12, 8]);
                 at = next;
             }
         }
@@ -201,7 +201,7 @@ fn pipes(chance: &mut Pcg64) -> Triangles {
 /// Hexagonal bolts on the block and along the body's floor.
 fn bolts(chance: &mut Pcg64) -> Triangles {
     let mut mesh = Triangles::default();
-    for _ in 0..400 {
+    for _ in 0..150 {
         let at = Vec3::new(
             chance.random_range(-0.32..0.32),
             chance.random_range(0.36..0.9),
@@ -219,8 +219,8 @@ fn wheels() -> Triangles {
     let mut mesh = Triangles::default();
     for (x, z) in [(-wide, -1.4), (wide, -1.4), (-wide, 1.4), (wide, 1.4)] {
         let middle = Vec3::new(x * 0.9, 0.32, z);
-        push_ring(&mut mesh, middle, Vec3::X, [0.24, 0.08], [90, 30]);
-        push_tube(&mut mesh, middle - Vec3::X * 0.06, middle + Vec3::X * 0.06, 0.17, [60, 6]);
+        push_ring(&mut mesh, middle, Vec3::X, [0.24, 0.08], [32, 10]);
+        push_tube(&mut mesh, middle - Vec3::X * 0.06, middle + Vec3::X * 0.06, 0.17, [48, 3]);
         for nut in 0..5 {
             let (sin, cos) = (TAU * nut as f32 / 5.0).sin_cos();
             let at = middle + Vec3::new(0.0, sin, cos) * 0.08;
@@ -234,7 +234,7 @@ fn seats() -> Triangles {
     let mut mesh = Triangles::default();
     for (x, z) in [(-0.4, 0.1), (0.4, 0.1), (-0.4, 0.8), (0.4, 0.8)] {
         let at = Vec3::new(x, 0.0, z);
-        let mut cushion = |min: Vec3, max: Vec3| push_grid_box(&mut mesh, at + min, at + max, [24, 24, 24]);
+        let mut cushion = |min: Vec3, max: Vec3| push_grid_box(&mut mesh, at + min, at + max, [6, 6, 6]);
         cushion(Vec3::new(-0.25, 0.4, -0.25), Vec3::new(0.25, 0.55, 0.2));
         cushion(Vec3::new(-0.25, 0.5, 0.15), Vec3::new(0.25, 1.1, 0.28));
     }
@@ -256,8 +256,8 @@ fn path(rules: &EngineRules) -> CameraPath {
         (0.55, eye(end + 2.5, 3.5, 0.5), FRAC_PI_2, -0.45),
         (0.7, eye(-3.0, 3.0, 2.0), east + 0.2, -0.4),
         (0.8, eye(-2.5, 1.3, -2.6), east - 0.4, -0.15),
-        (0.9, eye(near, 1.2, -3.4), PI, -0.15),
-        (1.0, eye(near, 0.75, -2.6), PI + 0.05, 0.0),
+        (0.9, eye(near, 1.2, -3.4), -PI, -0.15),
+        (1.0, eye(near, 0.75, -2.6), -PI + 0.05, 0.0),
     ];
     let camera = |number: u32| {
         let share = f64::from(number) / f64::from(rules.cameras.max(2) - 1);
