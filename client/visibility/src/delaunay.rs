@@ -290,8 +290,14 @@ fn triangulate(root: Aabb, sites: Vec<DVec3>) -> Result<Delaunay, DelaunayError>
     let count = sites.len();
     let refused = |reason: String| DelaunayError::Library { sites: count, reason };
     let unsound = |fault| DelaunayError::Unsound { sites: count, fault };
+    // The library does not end on sites that it cannot tell apart.
     let longest = root.size().max_element();
     let unit: Vec<[f64; 3]> = sites.iter().map(|site| ((*site - root.min) / longest).to_array()).collect();
+    let mut places = unit.clone();
+    places.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])));
+    if places.windows(2).any(|pair| pair[0] == pair[1]) {
+        return Err(unsound("two sites are one"));
+    }
     let mut made = DelaunayStructure3D::new();
     made.insert_vertices(&unit, true).map_err(|error| refused(error.to_string()))?;
     let simplices = made.get_simplicial();
@@ -400,5 +406,110 @@ impl Chance {
         mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
         mixed ^= mixed >> 31;
         (mixed >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    use super::*;
+    use crate::tessellation::laws::{poor_scenes, soup};
+
+    fn small() -> DelaunayRules {
+        DelaunayRules::default().with_octree(OctreeRules::paper().with_leaf_side(0.3))
+    }
+
+    fn holds(delaunay: &Delaunay, cell: CellId, point: DVec3, slack: f64) -> bool {
+        let Tetrahedron { normals, heights, .. } = &delaunay.cells[cell as usize];
+        (0..4).all(|face| normals[face].dot(point) <= heights[face] + slack)
+    }
+
+    #[test]
+    fn every_point_of_a_triangle_lies_in_a_cell_that_lists_it() {
+        let scene = soup(7, 150);
+        for rules in [small(), DelaunayRules { on_faces: false, ..small() }] {
+            let delaunay = Delaunay::build(&scene, rules).unwrap();
+            assert!(delaunay.len() > 100, "{}", delaunay.len());
+            let mut chance = Pcg64::seed_from_u64(8);
+            let mut held = 0;
+            for (id, triangle) in (0..).zip(scene.triangles()) {
+                let [a, b, c] = triangle.corners.map(|corner| corner.as_dvec3());
+                for _ in 0..5 {
+                    let (u, v) = (chance.random::<f64>(), chance.random::<f64>());
+                    let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+                    let point = a + (b - a) * u + (c - a) * v;
+                    let cell = delaunay.cell_at(point).unwrap();
+                    assert!(holds(&delaunay, cell, point, 1e-9));
+                    assert!(delaunay.primitives(cell).contains(&id));
+                    held += 1;
+                }
+            }
+            assert_eq!(held, 750);
+            let listed = |cell: CellId| delaunay.primitives(cell).is_sorted_by(|a, b| a < b);
+            assert!((0..delaunay.len() as CellId).all(listed));
+            // Cells far from all triangles list none: assignment is not everything to everyone.
+            assert!(delaunay.reference_count() < 150 * 40, "{}", delaunay.reference_count());
+        }
+    }
+
+    #[test]
+    fn neighbours_are_mutual_and_no_site_is_inside_a_circumscribed_sphere() {
+        let delaunay = Delaunay::build(&soup(2, 100), small()).unwrap();
+        for cell in 0..delaunay.len() as CellId {
+            for (neighbour, normal, _) in delaunay.faces(cell) {
+                let back = delaunay.faces(neighbour).find(|(other, ..)| *other == cell).unwrap();
+                assert!((back.1 + normal).length() < 1e-9);
+            }
+            let [a, b, c, d] = delaunay.corners(cell);
+            let (b, c, d) = (b - a, c - a, d - a);
+            let twice = 2.0 * b.dot(c.cross(d));
+            let centre =
+                (c.cross(d) * b.length_squared() + d.cross(b) * c.length_squared() + b.cross(c) * d.length_squared())
+                    / twice;
+            let radius = centre.length();
+            assert!(delaunay.sites.iter().all(|site| (site - a).distance(centre) > radius * (1.0 - 1e-6)));
+        }
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_cells() {
+        let scene = soup(3, 100);
+        let corners = |seed| {
+            let delaunay = Delaunay::build(&scene, DelaunayRules { seed, ..small() }).unwrap();
+            (0..delaunay.len() as CellId).map(|cell| delaunay.corners(cell)).collect::<Vec<_>>()
+        };
+        assert_eq!(corners(1), corners(1));
+        assert_ne!(corners(1), corners(2));
+    }
+
+    #[test]
+    fn degenerate_scenes_have_cells_or_an_error() {
+        for scene in poor_scenes() {
+            let delaunay = Delaunay::build(&scene, small()).unwrap();
+            assert!(delaunay.reference_count() >= scene.triangles().len());
+            let middle = delaunay.root().centre();
+            assert!(holds(&delaunay, delaunay.cell_at(middle).unwrap(), middle, 1e-9 * middle.length().max(1e3)));
+            assert_eq!(delaunay.cell_at(delaunay.root().max + delaunay.root().size()), None);
+            assert_eq!(delaunay.cell_at(DVec3::NAN), None);
+        }
+        // Cospherical on purpose: no perturbation at all.
+        let exact = Delaunay::build(&soup(5, 100), DelaunayRules { on_faces: false, ..small().with_jitter(0.0) });
+        assert!(matches!(exact, Ok(_) | Err(DelaunayError::Unsound { .. } | DelaunayError::Library { .. })));
+    }
+
+    #[test]
+    fn four_points_in_a_plane_and_duplicates_are_refused_or_used() {
+        let root = Aabb::around(DVec3::ZERO, DVec3::ONE);
+        let scene = soup(1, 0);
+        for sites in
+            [vec![DVec3::ZERO; 5], vec![DVec3::ZERO, DVec3::X * 0.5, DVec3::Y * 0.5, DVec3::new(0.5, 0.5, 0.0)]]
+        {
+            match Delaunay::of_sites(&scene, root, sites, 1) {
+                Ok(delaunay) => assert!(delaunay.len() >= 5),
+                Err(error) => assert!(error.to_string().contains("sites")),
+            }
+        }
     }
 }

@@ -339,10 +339,28 @@ mod tests {
     #[test]
     fn degenerate_scenes_have_cells_too() {
         for scene in poor_scenes() {
-            let octree = Octree::build(&scene, small_cells());
-            check(&scene, &octree);
-            assert!(octree.cells().reference_count() >= scene.triangles().len());
+            for rules in [small_cells(), OctreeRules::paper()] {
+                let octree = Octree::build(&scene, rules);
+                check(&scene, &octree);
+                assert!(octree.cells().reference_count() >= scene.triangles().len());
+            }
         }
+    }
+
+    #[test]
+    fn by_size_cells_with_corners_are_small_and_others_are_not_split() {
+        let scene = soup(9, 12);
+        let octree = Octree::build(&scene, OctreeRules::paper().with_leaf_side(0.1));
+        check(&scene, &octree);
+        let least = 0.1 * octree.root().size().max_element();
+        let mut large = 0;
+        for cell in 0..octree.cell_count() as u32 {
+            let (aabb, side) = (octree.cell(cell), octree.cell(cell).size().max_element());
+            let holds = scene.triangles().iter().flat_map(|t| t.corners).any(|corner| aabb.contains(corner.as_dvec3()));
+            assert!(side > 0.5 * least && (!holds || side < least), "{side}");
+            large += u32::from(side >= least);
+        }
+        assert!(large > 10);
     }
 
     #[test]
