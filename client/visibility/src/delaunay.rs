@@ -357,7 +357,9 @@ fn triangulate(root: Aabb, sites: Vec<DVec3>) -> Result<Delaunay, DelaunayError>
     }
     hull.sort_unstable();
     hull.dedup();
-    if !((volume / enclosed - 1.0).abs() < 1e-6) {
+    // Volumes that are not finite fail too.
+    let fill_once = (volume / enclosed - 1.0).abs() < 1e-6;
+    if !fill_once {
         return Err(unsound("the cells do not fill their hull once"));
     }
     let starts = vec![0; cells.len() + 1];

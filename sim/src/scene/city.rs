@@ -319,3 +319,69 @@ fn path(rules: &CityRules, models: &[(House, [MeshId; 2])]) -> CameraPath {
     };
     CameraPath::new((0..rules.cameras).map(camera).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use eyeline_visibility::{LoadOptions, RayScene, Resolution, exact_set, load_glb};
+
+    use super::*;
+
+    fn small() -> CityRules {
+        CityRules { columns: 2, blocks: 1, cameras: 60, seed: 3 }
+    }
+
+    #[test]
+    fn the_city_has_about_half_a_million_triangles() {
+        let made = make(&CityRules { cameras: 160, ..CityRules::default() }).unwrap();
+        assert!((500_000..600_000).contains(&made.triangles), "{}", made.triangles);
+        assert_eq!(made.cameras.cameras.len(), 160);
+    }
+
+    #[test]
+    fn same_rules_same_bytes_and_bad_rules_are_named() {
+        let (a, b) = (make(&small()).unwrap(), make(&small()).unwrap());
+        assert!(a.glb == b.glb && a.cameras == b.cameras);
+        assert!(make(&CityRules { seed: 4, ..small() }).unwrap().glb != a.glb);
+        let message = make(&CityRules { blocks: 0, ..small() }).unwrap_err().to_string();
+        assert!(message.contains("blocks = 0: give 1 to 100"));
+    }
+
+    #[test]
+    fn furniture_stands_in_its_room_and_apart() {
+        let pieces = pieces();
+        for number in 0..20 {
+            let mut chance = chance(number, 51);
+            let size = DVec2::new(chance.random_range(9.0..11.0), chance.random_range(7.5..9.0));
+            let placed = furnish(&House { size, storeys: 1 }, &pieces, &mut chance);
+            assert_eq!(placed.len(), 10);
+            // A bookcase is 1.0 × 0.3 m, its long side along the wall.
+            let reach =
+                |piece: Option<usize>| piece.map_or(DVec2::new(0.15, 0.5), |piece| DVec2::splat(pieces[piece].radius));
+            for (i, &(piece, at, _)) in placed.iter().enumerate() {
+                let (at, half) = (DVec2::new(at.x, at.z), reach(piece));
+                assert!((at.abs() + half).cmple(size * 0.5 - WALL + 1e-6).all(), "{number}.{i}");
+                assert!(at.x.abs() - half.x > 0.06, "{number}.{i}");
+                for &(other, there, _) in &placed[i + 1..] {
+                    let apart = (at - DVec2::new(there.x, there.z)).abs() - half - reach(other);
+                    let distance = at.distance(DVec2::new(there.x, there.z));
+                    assert!(apart.max_element() > 0.0 || distance > half.x + reach(other).x, "{number}.{i}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_path_ends_in_a_room_and_no_eye_is_in_a_wall() {
+        let made = make(&small()).unwrap();
+        let scene = load_glb(&made.glb, "city", &LoadOptions::default()).unwrap();
+        let rays = RayScene::new(&scene);
+        let views = made.cameras.views(scene.anchor(), Resolution::new(64, 64));
+        for (number, view) in views.iter().enumerate() {
+            let free = |way: DVec3| rays.first_hit(view.eye, way, 0.0, 0.1).is_none();
+            assert!([DVec3::X, DVec3::NEG_X, DVec3::Z, DVec3::NEG_Z].into_iter().all(free), "view {number}");
+            assert!(!exact_set(&scene, view).0.is_empty(), "view {number}");
+        }
+        let roofed = |eye: DVec3| rays.first_hit(eye, DVec3::Y, 0.0, 2.0).is_some();
+        assert!(roofed(views[59].eye) && !roofed(views[0].eye));
+    }
+}

@@ -128,8 +128,8 @@ fn body() -> Triangles {
             [(-long, -1.75, low), (-1.75, -1.05, 0.72), (-1.05, 1.05, low), (1.05, 1.75, 0.72), (1.75, long, low)]
         {
             let at = move |s: f32, t: f32| {
-                // Towards +X with z falling, towards −X with z rising: up × along.
-                let z = if side > 0.0 { mix(to, from, t) } else { mix(from, to, t) };
+                // Up × along: towards +X with z rising, towards −X with z falling.
+                let z = if side > 0.0 { mix(from, to, t) } else { mix(to, from, t) };
                 Vec3::new(side * (wide + bulge(s)), mix(bottom, bonnet, s), z)
             };
             panel([8, 8], &at, Vec3::X * (-side * 0.02));
@@ -268,4 +268,42 @@ fn path(rules: &EngineRules) -> CameraPath {
         Camera::rounded(from.1.lerp(to.1, t), mix(from.2, to.2), mix(from.3, to.3))
     };
     CameraPath::new((0..rules.cameras).map(camera).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn five_machines_have_about_810_000_triangles() {
+        let made = make(&EngineRules::default()).unwrap();
+        assert!((780_000..840_000).contains(&made.triangles), "{}", made.triangles);
+        assert_eq!(made.cameras.cameras.len(), 200);
+    }
+
+    #[test]
+    fn same_rules_same_bytes_and_bad_rules_are_named() {
+        let rules = EngineRules { copies: 1, cameras: 3, seed: 2 };
+        let (a, b) = (make(&rules).unwrap(), make(&rules).unwrap());
+        assert!(a.glb == b.glb && a.cameras == b.cameras);
+        assert!(make(&EngineRules { seed: 4, ..rules.clone() }).unwrap().glb != a.glb);
+        let message = make(&EngineRules { copies: 0, ..rules }).unwrap_err().to_string();
+        assert!(message.contains("copies = 0: give 1 to 50"));
+    }
+
+    #[test]
+    fn tubes_and_rings_face_outward() {
+        // Six times the volume that a closed mesh encloses is positive if it faces outward.
+        let volume = |mesh: &Triangles| {
+            let corner = |index: &u32| mesh.positions[*index as usize];
+            mesh.indices.chunks_exact(3).map(|t| corner(&t[0]).dot(corner(&t[1]).cross(corner(&t[2])))).sum::<f32>()
+                / 6.0
+        };
+        let mut tube = Triangles::default();
+        push_tube(&mut tube, Vec3::new(1.0, 2.0, 0.5), Vec3::new(1.0, 3.0, 1.5), 0.5, [64, 3]);
+        assert!((volume(&tube) / (2.0_f32.sqrt() * 0.25 * TAU * 0.5) - 1.0).abs() < 0.01, "{}", volume(&tube));
+        let mut ring = Triangles::default();
+        push_ring(&mut ring, Vec3::X, Vec3::Y, [2.0, 0.5], [64, 32]);
+        assert!((volume(&ring) / (TAU * 2.0 * 0.25 * TAU * 0.5) - 1.0).abs() < 0.03, "{}", volume(&ring));
+    }
 }
