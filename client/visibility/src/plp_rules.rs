@@ -8,7 +8,7 @@ pub struct PlpRules {
     pub solidity: Solidity,
     /// ρ_max, by which counts are divided. The paper: the maximum. Unused by [`Solidity::Coverage`].
     pub solidity_max: SolidityMax,
-    /// v in the transfer v·n of solidity through a face. The paper: the view direction, one for all cells. Unused by
+    /// v in the transfer |v·n| of solidity through a face. The paper: the view direction, one for all cells. Unused by
     /// [`Solidity::Coverage`].
     pub transfer: Transfer,
     /// What solidity is multiplied with where the cell is not star-shaped: its middle is not seen through the face that it
