@@ -72,7 +72,7 @@ fn a_broken_culler_is_caught_and_the_others_are_not() {
         let config = CullConfig { eye_radii, ..config(&registry, &Sweep::default()) };
         let outcome = run(&world, &path, &config, &registry, || {});
         assert_eq!(outcome.rows.len(), registry.entries().len());
-        for row in &outcome.rows {
+        for row in outcome.rows.iter().filter(|row| row.conservative) {
             let broken = row.culler == "broken";
             assert_eq!(row.ok, !broken, "{row:?}");
             assert_eq!(row.wrong_pixels_max > 50, broken, "{row:?}");
@@ -93,7 +93,7 @@ fn rows_say_what_was_kept_and_what_it_took() {
     let world = world(&WorldRules::default());
     let registry = Registry::standard();
     let path = world.cameras(Some(8), 3);
-    let sweep = Sweep { budgets: vec![0, 1_000], ..few() };
+    let sweep = Sweep { budgets: vec![0.into(), 1_000.into()], ..few() };
     let rows = run(&world, &path, &config(&registry, &sweep), &registry, || {}).rows;
     let [all, frustum, unguided, guided] = &rows[..] else { panic!("{} rows", rows.len()) };
     assert_eq!(all.kept, world.scene.triangles().len() as f64);
@@ -103,7 +103,8 @@ fn rows_say_what_was_kept_and_what_it_took() {
     assert!(unguided.z_tests_per_pixel < frustum.z_tests_per_pixel);
     assert!(guided.rounds < unguided.rounds && unguided.queries > 0.0, "{guided:?} {unguided:?}");
     assert!(rows.iter().all(|row| row.frame_ms > 0.0 && row.per_max_pass > 0.0 && row.draw_ms > 0.0));
-    assert_eq!((unguided.budget, guided.budget, all.budget), (Some(0), Some(1_000), None));
+    let budget = |row: &CullRow| row.budget.clone();
+    assert_eq!((budget(unguided), budget(guided), budget(all)), (Some("0".into()), Some("1000".into()), None));
 }
 
 #[test]
@@ -196,10 +197,13 @@ fn what_cannot_be_run_is_said_with_the_remedy() {
         ),
         (vec!["--tessellation", "bsp"], vec!["no tessellation `bsp`", "octree"]),
         (vec!["--query", "gpu"], vec!["no query `gpu`", "sampled"]),
-        (vec!["--world", "castle"], vec!["`castle`", "building, office, tower, rooms"]),
+        (vec!["--world", "castle"], vec!["`castle`", "building, city, engine, office, tower, rooms"]),
         (vec!["--world", &missing], vec!["missing.glb"]),
         (vec!["--world", &glb], vec!["bad.glb"]),
-        (vec!["--world", &glb, "--scene-seed", "2"], vec!["--scene-seed", "building, office, tower, rooms"]),
+        (
+            vec!["--world", &glb, "--scene-seed", "2"],
+            vec!["--scene-seed", "building, city, engine, office, tower, rooms"],
+        ),
         (vec!["--world", "rooms", "--objects-per-room", "9"], vec!["--objects-per-room", "`rooms`"]),
         (vec!["--path", &json], vec!["bad.json", "line 1"]),
         (vec!["--resolution", "0x64"], vec!["from 1 to 8192"]),

@@ -13,6 +13,7 @@ mod closers;
 mod clusters;
 mod cplp;
 mod culler;
+mod delaunay;
 mod dynamic_index;
 mod facets;
 mod front_to_back;
@@ -26,6 +27,11 @@ mod occluder_tree;
 mod occluders;
 mod occlusion;
 mod octree;
+mod plp;
+mod plp_cells;
+mod plp_coverage;
+mod plp_culler;
+mod plp_rules;
 mod pyramid;
 mod query;
 mod raster_sampled;
@@ -52,6 +58,7 @@ pub use bound::{Aabb, Bound};
 pub use clusters::{CellClusters, Clusters};
 pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
 pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, ZBuffer, exact_set, wrong_pixels};
+pub use delaunay::{Delaunay, DelaunayError, DelaunayRules};
 pub use dynamic_index::DynamicOctree;
 pub use front_to_back::QueryFrontToBack;
 pub use hierarchical_z::HierarchicalZ;
@@ -65,6 +72,10 @@ pub use masked_cplp::{MaskedCplp, MaskedCplpScratch};
 pub use occluders::Occluders;
 pub use occlusion::{DynamicIndex, Occlusion, Target};
 pub use octree::{Octree, OctreeRules};
+pub use plp::{Plp, PlpScratch, PlpStep, PlpTraversal};
+pub use plp_cells::PlpCells;
+pub use plp_culler::{CentroidOrder, PlpCuller};
+pub use plp_rules::{PlpRules, Requeue, Seeds, Solidity, SolidityMax, Transfer};
 pub use query::{
     CplpQueryCuller, CpuQuery, HistogramQuery, ItemBufferQuery, OneAtATimeQuery, PerFragmentHistogram, QueryBackEnd,
     QueryCost, QueryKind, TILE_SIDE,

@@ -10,23 +10,38 @@ use glam::DVec3;
 use crate::tessellation::{root_box, rounding_slack, touches};
 use crate::{Aabb, CellId, Cells, Face, Neighbour, Scene, Tessellation};
 
-/// When a cell is split. Any value is legal; a zero counts as one triangle, and depth is cut to 20.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// When a cell is split: by counts of triangles or, as in the papers, by vertices down to a size. Any value is legal; a zero
+/// counts as one triangle, and depth is cut to 20.
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct OctreeRules {
     /// A cell with more triangles is split. Fewer: finer culling, more queries. Default 64.
     pub max_triangles_per_leaf: usize,
     /// Greatest number of splits above a cell. Default 10: cells of a 100 m scene are no smaller than 0.1 m.
     pub max_depth: u32,
+    /// If above 0, triangles are not counted: a cell is split while it holds a triangle's corner and its longest side is at
+    /// least this share of the root's. Default 0.
+    pub leaf_side: f64,
 }
 
 impl Default for OctreeRules {
     fn default() -> OctreeRules {
-        OctreeRules { max_triangles_per_leaf: 64, max_depth: 10 }
+        OctreeRules { max_triangles_per_leaf: 64, max_depth: 10, leaf_side: 0.0 }
     }
 }
 
 impl OctreeRules {
+    /// "Once an octree node has a side shorter than 5 percent of the length of the bounding box, it is considered a leaf"
+    /// (Klosowski & Silva 2000, §4.3).
+    pub fn paper() -> OctreeRules {
+        OctreeRules { max_depth: 20, leaf_side: 0.05, ..OctreeRules::default() }
+    }
+
+    /// The rules with another size of leaves.
+    pub fn with_leaf_side(self, leaf_side: f64) -> OctreeRules {
+        OctreeRules { leaf_side, ..self }
+    }
+
     /// The rules with another limit of triangles.
     pub fn with_max_triangles_per_leaf(self, max_triangles_per_leaf: usize) -> OctreeRules {
         OctreeRules { max_triangles_per_leaf, ..self }
@@ -150,11 +165,22 @@ impl Octree {
         primitives: &[u32],
         slack: f64,
     ) -> Option<(u8, Vec<Vec<u32>>)> {
-        if primitives.len() <= rules.max_triangles_per_leaf.max(1) || depth >= rules.max_depth.min(20) {
+        let by_size = rules.leaf_side > 0.0;
+        if depth >= rules.max_depth.min(20) || (!by_size && primitives.len() <= rules.max_triangles_per_leaf.max(1)) {
             return None;
         }
         let lattice = self.nodes[node].lattice;
-        let size = lattice.aabb(&self.cells.root()).size();
+        let aabb = lattice.aabb(&self.cells.root());
+        let size = aabb.size();
+        if by_size {
+            let holds_corner = |id: &u32| {
+                scene.triangles()[*id as usize].corners.iter().any(|corner| aabb.contains(corner.as_dvec3()))
+            };
+            let least = rules.leaf_side * self.cells.root().size().max_element();
+            if size.max_element() < least || !primitives.iter().any(holds_corner) {
+                return None;
+            }
+        }
         let axes = (0..3).fold(0, |axes, axis| axes | u8::from(size[axis] > 0.6 * size.max_element()) << axis);
         let parts: Vec<Vec<u32>> = (0..1_u32 << axes.count_ones())
             .map(|index| {
@@ -164,7 +190,7 @@ impl Octree {
             })
             .collect();
         // Where every child would hold everything (duplicates, a common vertex in the middle), depth buys nothing.
-        parts.iter().any(|part| part.len() < primitives.len()).then_some((axes, parts))
+        (by_size || parts.iter().any(|part| part.len() < primitives.len())).then_some((axes, parts))
     }
 
     /// Finds the neighbours of each cell, and the cells of each hull face.
@@ -313,10 +339,28 @@ mod tests {
     #[test]
     fn degenerate_scenes_have_cells_too() {
         for scene in poor_scenes() {
-            let octree = Octree::build(&scene, small_cells());
-            check(&scene, &octree);
-            assert!(octree.cells().reference_count() >= scene.triangles().len());
+            for rules in [small_cells(), OctreeRules::paper()] {
+                let octree = Octree::build(&scene, rules);
+                check(&scene, &octree);
+                assert!(octree.cells().reference_count() >= scene.triangles().len());
+            }
         }
+    }
+
+    #[test]
+    fn by_size_cells_with_corners_are_small_and_others_are_not_split() {
+        let scene = soup(9, 12);
+        let octree = Octree::build(&scene, OctreeRules::paper().with_leaf_side(0.1));
+        check(&scene, &octree);
+        let least = 0.1 * octree.root().size().max_element();
+        let mut large = 0;
+        for cell in 0..octree.cell_count() as u32 {
+            let (aabb, side) = (octree.cell(cell), octree.cell(cell).size().max_element());
+            let holds = scene.triangles().iter().flat_map(|t| t.corners).any(|corner| aabb.contains(corner.as_dvec3()));
+            assert!(side > 0.5 * least && (!holds || side < least), "{side}");
+            large += u32::from(side >= least);
+        }
+        assert!(large > 10);
     }
 
     #[test]

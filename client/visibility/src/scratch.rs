@@ -6,7 +6,7 @@ use crate::front_to_back::Leaves;
 use crate::hierarchical_z::PyramidImage;
 use crate::{
     Bound, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, LargeOccluderScratch, MaskedCplpScratch, Occluders,
-    Occlusion, QueryBackEnd, QueryKind, Resolution, Triangle, UnderOcclusion, View,
+    Occlusion, PlpScratch, QueryBackEnd, QueryKind, Resolution, Triangle, UnderOcclusion, View,
 };
 
 /// What one worker needs to cull. What a culler does not use stays empty.
@@ -15,6 +15,7 @@ pub struct Scratch {
     pub(crate) cplp: CplpScratch,
     pub(crate) depth: DepthBuffer,
     pub(crate) leaves: Leaves,
+    pub(crate) plp: PlpScratch,
     pyramid: PyramidImage,
     masked: MaskedCplpScratch,
     large: LargeOccluderScratch,
@@ -42,6 +43,7 @@ impl Default for Scratch {
             cplp: CplpScratch::default(),
             depth: DepthBuffer::new(&nowhere),
             leaves: Leaves::default(),
+            plp: PlpScratch::default(),
             pyramid: PyramidImage::new(&nowhere),
             masked: MaskedCplpScratch::default(),
             large: LargeOccluderScratch::default(),
@@ -111,6 +113,11 @@ impl Scratch {
     /// The same, to have its fronts recorded.
     pub fn cplp_mut(&mut self) -> &mut CplpScratch {
         &mut self.cplp
+    }
+
+    /// What the last traversal of a [`crate::PlpCuller`] left.
+    pub fn plp(&self) -> &PlpScratch {
+        &self.plp
     }
 
     /// The query back end of the last [`crate::CplpQueryCuller`].

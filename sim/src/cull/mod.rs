@@ -1,9 +1,10 @@
 //! What do cullers cost, and what do they get wrong? The library part of `eyeline-sim cull`.
 //!
-//! [`world`] says what is looked at and [`path`] from where; [`registry`] knows the cullers and what can be chosen for each;
+//! [`world`] says what is looked at and [`path`] from where; [`registry`] knows the cullers and what can be chosen for each, [`budget`] among it;
 //! [`run`] holds them against the exact set and the clock (with [`max_pass`] as the yardstick), by [`fragments`] also in z-tests; [`report`] and [`picture`] show
 //! it, with the columns of [`row`].
 
+pub mod budget;
 pub mod fragments;
 pub mod max_pass;
 pub mod path;
@@ -14,6 +15,7 @@ pub mod row;
 pub mod run;
 pub mod world;
 
+pub use budget::{AskedBudget, BudgetError};
 pub use max_pass::MaxPass;
 pub use path::{Camera, CameraPath, PathError};
 pub use registry::{Candidate, Entry, Registry, Setting, Shop, Sweep, SweepError, WithScratch};

@@ -7,12 +7,14 @@
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, Budget, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, DepthBuffer, EyeRegion,
-    FrustumBackface, HierarchicalZ, KdRules, KdTree, LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders,
-    Occlusion, Octree, OctreeRules, QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch,
-    Tessellation, Triangle, View, ZBuffer,
+    Aabb, Budget, CentroidOrder, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, Delaunay,
+    DelaunayRules, DepthBuffer, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree, LargeOccluder,
+    LargeOccluderRules, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules, Plp, PlpCells, PlpCuller, PlpRules,
+    QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, Triangle, View,
+    ZBuffer,
 };
 
+use super::budget::AskedBudget;
 use super::picture::Layer;
 
 /// A culler under test, with all that it keeps from frame to frame.
@@ -144,14 +146,14 @@ pub struct Setting {
     /// Name of a query back end.
     pub query: Option<&'static str>,
     /// Triangles that PLP may draw by guess.
-    pub budget: Option<usize>,
+    pub budget: Option<AskedBudget>,
 }
 
 impl Setting {
     /// The setting for people, without what has no choice: `cplp · octree · sampled · 100`.
     pub fn label(&self) -> String {
         let parts = [Some(self.culler.to_owned()), self.tessellation.map(Into::into), self.query.map(Into::into)];
-        let parts = parts.into_iter().chain([self.budget.map(|budget| budget.to_string())]);
+        let parts = parts.into_iter().chain([self.budget.as_ref().map(|budget| budget.text().to_owned())]);
         parts.flatten().collect::<Vec<String>>().join(" · ")
     }
 }
@@ -172,8 +174,8 @@ pub struct Entry {
     pub tessellations: &'static [&'static str],
     /// Query back ends that it can use, best first; empty if it has none.
     pub queries: &'static [&'static str],
-    /// Whether it has a budget of triangles.
-    pub budgets: bool,
+    /// Its budget of triangles if none is asked for; `None` if it has none.
+    pub budget: Option<&'static str>,
     /// Makes it.
     pub make: fn(&mut Shop, &Setting) -> Box<dyn Candidate>,
 }
@@ -184,12 +186,14 @@ pub struct Shop {
     octree: Option<Arc<Octree>>,
     kd_tree: Option<Arc<KdTree>>,
     occluders: Option<Arc<Occluders>>,
+    plp_octree: Option<PlpCells>,
+    delaunay: Option<PlpCells>,
 }
 
 impl Shop {
     /// A shop for a scene.
     pub fn new(scene: Arc<Scene>) -> Shop {
-        Shop { scene, octree: None, kd_tree: None, occluders: None }
+        Shop { scene, octree: None, kd_tree: None, occluders: None, plp_octree: None, delaunay: None }
     }
 
     /// The scene.
@@ -218,6 +222,37 @@ impl Shop {
         Arc::new(Cplp::new(self.tessellation(setting)))
     }
 
+    /// The cells that PLP walks: octree leaves by the paper's rules, or tetrahedra over them. Where no tetrahedra can be made,
+    /// the octree stands in for them.
+    pub fn plp_cells(&mut self, setting: &Setting) -> PlpCells {
+        let scene = &self.scene;
+        let octree = &mut self.plp_octree;
+        let mut octree = || {
+            let made = || PlpCells::Boxes(Arc::new(Octree::build(scene, OctreeRules::paper())));
+            octree.get_or_insert_with(made).clone()
+        };
+        if setting.tessellation == Some(OCTREE) {
+            return octree();
+        }
+        let made = || match Delaunay::build(scene, DelaunayRules::default()) {
+            Ok(delaunay) => PlpCells::Tetrahedra(Arc::new(delaunay)),
+            Err(_) => octree(),
+        };
+        self.delaunay.get_or_insert_with(made).clone()
+    }
+
+    /// PLP over the cells that a setting names.
+    pub fn plp(&mut self, setting: &Setting, rules: PlpRules) -> PlpCuller {
+        let plp = Plp::new(self.scene(), self.plp_cells(setting), rules);
+        PlpCuller::new(Arc::new(plp), self.budget(setting))
+    }
+
+    /// The budget that a setting names, in triangles.
+    pub fn budget(&self, setting: &Setting) -> usize {
+        let total = self.scene.triangles().len();
+        setting.budget.as_ref().map_or(Budget::default().triangles, |budget| budget.triangles(total))
+    }
+
     /// The polygons that under-estimating coverage draws.
     pub fn occluders(&mut self) -> Arc<Occluders> {
         self.occluders.get_or_insert_with(|| Arc::new(Occluders::build(&self.scene))).clone()
@@ -227,7 +262,12 @@ impl Shop {
 /// Pixels of the image that `region` draws, whatever the picture's resolution.
 const REGION_PIXELS: u32 = 256 * 128;
 
+/// Budgets where none is asked for: [`Budget::default`] for cPLP, the paper's largest for PLP alone.
+const CPLP_BUDGET: &str = "100";
+const PLP_BUDGET: &str = "10%";
+
 /// Names of tessellations.
+const DELAUNAY: &str = "delaunay";
 const OCTREE: &str = "octree";
 const KD_TREE: &str = "kd-tree";
 
@@ -244,8 +284,8 @@ pub struct Sweep {
     pub tessellations: Vec<String>,
     /// Query back ends; `all` for all.
     pub queries: Vec<String>,
-    /// Budgets in triangles.
-    pub budgets: Vec<usize>,
+    /// Budgets in triangles or shares of the scene.
+    pub budgets: Vec<AskedBudget>,
 }
 
 /// Why there is nothing to run.
@@ -285,7 +325,7 @@ impl Registry {
                 by_rays: false,
                 tessellations: &[],
                 queries: &[],
-                budgets: false,
+                budget: None,
                 make: |shop, _| Box::new(WithScratch::new(ZBuffer::new(shop.scene()))),
             },
             Entry {
@@ -295,7 +335,7 @@ impl Registry {
                 by_rays: false,
                 tessellations: &[],
                 queries: &[],
-                budgets: false,
+                budget: None,
                 make: |shop, _| Box::new(WithScratch::new(FrustumBackface::new(shop.scene()))),
             },
             Entry {
@@ -305,7 +345,7 @@ impl Registry {
                 by_rays: false,
                 tessellations: &[],
                 queries: &[],
-                budgets: false,
+                budget: None,
                 make: |shop, _| {
                     let rules = LargeOccluderRules::default().with_occluders(0);
                     Box::new(WithScratch::new(LargeOccluder::new(shop.scene(), rules)))
@@ -318,7 +358,7 @@ impl Registry {
                 by_rays: false,
                 tessellations: &[],
                 queries: &["planes"],
-                budgets: false,
+                budget: None,
                 make: |shop, _| Box::new(WithScratch::new(LargeOccluder::build(shop.scene()))),
             },
             Entry {
@@ -328,7 +368,7 @@ impl Registry {
                 by_rays: false,
                 tessellations: &[KD_TREE, OCTREE],
                 queries: &["masks"],
-                budgets: false,
+                budget: None,
                 make: |shop, setting| {
                     let tessellation = shop.tessellation(setting);
                     Box::new(WithScratch::new(MaskedCplp::new(shop.scene(), tessellation)))
@@ -348,9 +388,9 @@ impl Registry {
                     "one-at-a-time",
                     "per-fragment-histogram",
                 ],
-                budgets: true,
+                budget: Some(CPLP_BUDGET),
                 make: |shop, setting| {
-                    let budget = setting.budget.map_or_else(Budget::default, |triangles| Budget { triangles });
+                    let budget = Budget { triangles: shop.budget(setting) };
                     let (scene, cplp) = (shop.scene(), shop.cplp(setting));
                     match QueryKind::ALL.into_iter().find(|kind| Some(kind.name()) == setting.query) {
                         Some(kind) => {
@@ -366,13 +406,59 @@ impl Registry {
                 },
             },
             Entry {
+                name: "plp",
+                about: "PLP within a budget by its default rule: cells by how much of them looks covered, not conservative",
+                conservative: false,
+                by_rays: false,
+                tessellations: &[DELAUNAY, OCTREE],
+                queries: &[],
+                budget: Some(PLP_BUDGET),
+                make: |shop, setting| Box::new(WithScratch::new(shop.plp(setting, PlpRules::default()))),
+            },
+            Entry {
+                name: "plp-paper",
+                about: "PLP within a budget by the paper's rule: solidity from counts of triangles, not conservative",
+                conservative: false,
+                by_rays: false,
+                tessellations: &[DELAUNAY, OCTREE],
+                queries: &[],
+                budget: Some(PLP_BUDGET),
+                make: |shop, setting| Box::new(WithScratch::new(shop.plp(setting, PlpRules::paper()))),
+            },
+            Entry {
+                name: "centroid",
+                about: "the nearest triangles of the scene up to a budget, then culled: PLP's baseline, not conservative",
+                conservative: false,
+                by_rays: false,
+                tessellations: &[],
+                queries: &[],
+                budget: Some(PLP_BUDGET),
+                make: |shop, setting| {
+                    let budget = shop.budget(setting);
+                    Box::new(WithScratch::new(CentroidOrder::new(shop.scene(), budget, false)))
+                },
+            },
+            Entry {
+                name: "centroid-culled",
+                about: "the same with culling first, so that only what is in view and not turned away counts",
+                conservative: false,
+                by_rays: false,
+                tessellations: &[],
+                queries: &[],
+                budget: Some(PLP_BUDGET),
+                make: |shop, setting| {
+                    let budget = shop.budget(setting);
+                    Box::new(WithScratch::new(CentroidOrder::new(shop.scene(), budget, true)))
+                },
+            },
+            Entry {
                 name: "query-front-to-back",
                 about: "cells in view by distance, one query each: the paper's HP baseline",
                 conservative: true,
                 by_rays: false,
                 tessellations: &[OCTREE, KD_TREE],
                 queries: &["sampled"],
-                budgets: false,
+                budget: None,
                 make: |shop, setting| {
                     let tessellation = shop.tessellation(setting);
                     Box::new(WithScratch::new(QueryFrontToBack::new(shop.scene(), tessellation)))
@@ -385,7 +471,7 @@ impl Registry {
                 by_rays: false,
                 tessellations: &[OCTREE],
                 queries: &["pyramid"],
-                budgets: false,
+                budget: None,
                 make: |shop, _| {
                     let octree = shop.octree();
                     Box::new(WithScratch::new(HierarchicalZ::new(shop.scene(), octree)))
@@ -398,7 +484,7 @@ impl Registry {
                 by_rays: true,
                 tessellations: &[OCTREE, KD_TREE],
                 queries: &["under"],
-                budgets: false,
+                budget: None,
                 make: |shop, setting| {
                     let (cplp, occluders) = (shop.cplp(setting), shop.occluders());
                     Box::new(WithScratch::new(RegionCuller::new(shop.scene(), cplp, occluders, REGION_PIXELS)))
@@ -444,15 +530,15 @@ impl Registry {
         let mut settings = Vec::new();
         for culler in &cullers {
             let Some(entry) = self.entry(culler) else { continue };
-            let budgets: Vec<Option<usize>> = match (entry.budgets, sweep.budgets.is_empty()) {
-                (false, _) => vec![None],
-                (true, true) => vec![Some(Budget::default().triangles)],
-                (true, false) => sweep.budgets.iter().copied().map(Some).collect(),
+            let budgets: Vec<Option<AskedBudget>> = match (entry.budget, sweep.budgets.is_empty()) {
+                (None, _) => vec![None],
+                (Some(default), true) => vec![default.parse().ok()],
+                (Some(_), false) => sweep.budgets.iter().cloned().map(Some).collect(),
             };
             for &tessellation in &choices(entry.tessellations, tessellations.as_deref()) {
                 for &query in &choices(entry.queries, queries.as_deref()) {
-                    for &budget in &budgets {
-                        let setting = Setting { culler: entry.name, tessellation, query, budget };
+                    for budget in &budgets {
+                        let setting = Setting { culler: entry.name, tessellation, query, budget: budget.clone() };
                         if !settings.contains(&setting) {
                             settings.push(setting);
                         }
@@ -504,7 +590,7 @@ mod tests {
     fn sweep(cullers: &[&str], tessellations: &[&str], queries: &[&str], budgets: &[usize]) -> Sweep {
         let own = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
         let (cullers, tessellations, queries) = (own(cullers), own(tessellations), own(queries));
-        Sweep { cullers, tessellations, queries, budgets: budgets.to_vec() }
+        Sweep { cullers, tessellations, queries, budgets: budgets.iter().map(|&budget| budget.into()).collect() }
     }
 
     fn labels(registry: &Registry, sweep: &Sweep) -> Vec<String> {
@@ -521,6 +607,10 @@ mod tests {
             "large-occluder · planes",
             "masked · kd-tree · masks",
             "cplp · octree · sampled · 100",
+            "plp · delaunay · 10%",
+            "plp-paper · delaunay · 10%",
+            "centroid · 10%",
+            "centroid-culled · 10%",
             "query-front-to-back · octree · sampled",
             "hierarchical-z · octree · pyramid",
             "region · octree · under",
@@ -551,7 +641,10 @@ mod tests {
                 && text.contains("zbuffer, frustum-backface, frustum, large-occluder, masked, cplp"),
             "{text}"
         );
-        assert!(message(&sweep(&[], &["bsp"], &[], &[])).contains("no tessellation `bsp`; known: kd-tree, octree"));
+        assert!(
+            message(&sweep(&[], &["bsp"], &[], &[]))
+                .contains("no tessellation `bsp`; known: delaunay, kd-tree, octree")
+        );
         assert!(message(&sweep(&[], &[], &["gpu"], &[])).contains("no query `gpu`; known: histogram, "));
         let other = Entry { name: "other", tessellations: &["slabs"], ..*registry.entry("cplp").unwrap() };
         let error = Registry::standard().with(other).settings(&sweep(&["cplp"], &["slabs"], &[], &[])).unwrap_err();

@@ -70,16 +70,28 @@ pub fn report(run: Run, world: &World, outcome: &Outcome, config: &CullConfig) -
         Axis::log("z-tests per pixel"),
         &|row| (row.total_ms, row.z_tests_per_pixel),
     ));
-    let mut budgets: Vec<usize> = outcome.rows.iter().filter_map(|row| row.budget).collect();
+    let mut budgets: Vec<usize> = outcome.rows.iter().filter_map(|row| row.budget_triangles).collect();
     budgets.sort_unstable();
     budgets.dedup();
     if budgets.len() > 1 {
         // cPLP's figure 6 and table 3. A logarithm has no 0: a budget of 0 stands at 1.
         let budget = || Axis::log("PLP budget (triangles)");
-        let at = |row: &super::CullRow| row.budget.unwrap_or(0).max(1) as f64;
+        let at = |row: &super::CullRow| row.budget_triangles.unwrap_or(0).max(1) as f64;
         report.plots.push(by_budget(outcome, "Time to cull and draw over PLP's budget", budget(), "ms", &|row| {
             (at(row), row.total_ms)
         }));
+        // PLP's table 1 and figure 12.
+        report.plots.push(by_budget(
+            outcome,
+            "Visible primitives found (ε_k) over PLP's budget",
+            budget(),
+            "ε_k",
+            &|row| (at(row), row.visible_found_mean),
+        ));
+        let worst = "Wrong pixels of the worst view over PLP's budget";
+        report
+            .plots
+            .push(by_budget(outcome, worst, budget(), "wrong pixels (%)", &|row| (at(row), row.wrong_percent_max)));
         report.plots.push(by_budget(outcome, "Rounds of queries over PLP's budget", budget(), "rounds", &|row| {
             (at(row), row.rounds)
         }));
@@ -113,8 +125,7 @@ fn by_budget(outcome: &Outcome, title: &str, x: Axis, y: &str, of: &dyn Fn(&supe
 
 /// What names a row in a plot.
 fn label(row: &super::CullRow) -> String {
-    let budget = row.budget.map(|budget| budget.to_string());
-    let parts = [Some(row.culler.clone()), row.tessellation.clone(), row.query.clone(), budget];
+    let parts = [Some(row.culler.clone()), row.tessellation.clone(), row.query.clone(), row.budget.clone()];
     let mut label = parts.into_iter().flatten().collect::<Vec<String>>().join(" · ");
     label += &format!(" · {}", row.resolution);
     if row.eye_radius > 0.0 {

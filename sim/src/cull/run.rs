@@ -279,6 +279,15 @@ impl Try<'_> {
         if tally.worst.is_none_or(|(most, _)| wrong > most) {
             tally.worst = Some((wrong, number));
         }
+        let shown: Vec<u32> = truth.winners.iter().copied().filter(|id| lost.binary_search(id).is_err()).collect();
+        let lost_share = lost.len() as f64 / truth.winners.len().max(1) as f64;
+        tally.found_share += 1.0 - lost_share;
+        tally.lost_share_most = tally.lost_share_most.max(lost_share);
+        if tally.frames > 0 {
+            let new = shown.iter().filter(|id| tally.shown.binary_search(id).is_err()).count();
+            tally.churn += new as f64 / shown.len().max(1) as f64;
+        }
+        tally.shown = shown;
         tally.frames += 1;
         tally.pixels += view.resolution.pixels() as u64;
         tally.wrong_max = tally.wrong_max.max(wrong);
@@ -318,6 +327,12 @@ struct Tally {
     objects_lost: u64,
     cracks: u64,
     winners: u64,
+    /// ε_k of the views, summed, and the most that a view lost.
+    found_share: f64,
+    lost_share_most: f64,
+    /// What the last view showed of its exact set, and the shares of it that were new, summed.
+    shown: Vec<u32>,
+    churn: f64,
     exact: u64,
     kept: u64,
     objects_exact: u64,
@@ -397,6 +412,7 @@ impl Tally {
         let frames = self.frames.max(1) as f64;
         let mean = |sum: u64| sum as f64 / frames;
         let has_objects = !about.world.object_boxes.is_empty();
+        let total = about.world.scene.triangles().len();
         let frame_ms = self.frame_ms.iter().sum::<f64>() / frames;
         let max_pass_ms = self.max_pass_ms.iter().sum::<f64>() / frames;
         let draw_ms = self.draw_ms / frames;
@@ -406,7 +422,8 @@ impl Tally {
             culler: about.setting.culler.to_owned(),
             tessellation: about.setting.tessellation.map(Into::into),
             query: about.setting.query.map(Into::into),
-            budget: about.setting.budget,
+            budget: about.setting.budget.as_ref().map(|budget| budget.text().to_owned()),
+            budget_triangles: about.setting.budget.as_ref().map(|budget| budget.triangles(total)),
             resolution: resolution.to_string(),
             eye_radius: radius,
             eyes: if radius > 0.0 { about.config.eyes.max(1) } else { 1 },
@@ -418,6 +435,10 @@ impl Tally {
             lost_visible: self.lost,
             cracks: self.cracks,
             visible_found: if self.winners == 0 { 1.0 } else { 1.0 - self.lost as f64 / self.winners as f64 },
+            visible_found_mean: if self.frames == 0 { 1.0 } else { self.found_share / frames },
+            visible_found_least: 1.0 - self.lost_share_most,
+            wrong_percent_max: ratio(100.0 * self.wrong_max as f64, resolution.pixels() as f64),
+            churn: if self.frames < 2 { 0.0 } else { self.churn / (frames - 1.0) },
             kept: mean(self.kept),
             exact: mean(self.exact),
             kept_over_exact: (self.exact > 0).then(|| self.kept as f64 / self.exact as f64),
@@ -433,7 +454,7 @@ impl Tally {
             bounds: mean(self.bounds),
             occluders: mean(self.occluders),
             plp_triangles: mean(self.plp),
-            extra_triangles: about.setting.budget.map_or(0.0, |_| mean(self.kept) - mean(self.plp)),
+            extra_triangles: about.setting.budget.as_ref().map_or(0.0, |_| mean(self.kept) - mean(self.plp)),
             z_tests_per_pixel: ratio(self.z_tests as f64, self.pixels as f64),
             query_z_tests_counted: self.query_z_tests_counted,
             frame_ms,

@@ -14,6 +14,8 @@ use super::path::{Camera, CameraPath};
 use crate::chance;
 use crate::places;
 use crate::scene::building::{self, BuildingRules};
+use crate::scene::city::{self, CityRules};
+use crate::scene::engine::{self, EngineRules};
 use crate::scene::office::{self, OfficeRules};
 use crate::scene::plan::{Rect, RoomPlan, RoomsRules};
 use crate::scene::rooms;
@@ -73,7 +75,7 @@ pub struct WorldRules {
 }
 
 /// Worlds that can be made instead of read.
-pub const MADE: [&str; 4] = ["building", "office", "tower", "rooms"];
+pub const MADE: [&str; 6] = ["building", "city", "engine", "office", "tower", "rooms"];
 
 impl World {
     /// A scene as it is, without places to stand.
@@ -116,6 +118,20 @@ impl World {
                     (rules.scene_seed.unwrap_or(default.seed), rules.views.unwrap_or(default.cameras));
                 let made = tower::make(&TowerRules { seed, cameras, ..default })?;
                 World::made(&made.glb, format!("tower seed {seed}"), Standing::Cameras(made.cameras), rules)
+            }
+            "city" => {
+                let default = CityRules::default();
+                let (seed, cameras) =
+                    (rules.scene_seed.unwrap_or(default.seed), rules.views.unwrap_or(default.cameras));
+                let made = city::make(&CityRules { seed, cameras, ..default })?;
+                World::made(&made.glb, format!("city seed {seed}"), Standing::Cameras(made.cameras), rules)
+            }
+            "engine" => {
+                let default = EngineRules::default();
+                let (seed, cameras) =
+                    (rules.scene_seed.unwrap_or(default.seed), rules.views.unwrap_or(default.cameras));
+                let made = engine::make(&EngineRules { seed, cameras, ..default })?;
+                World::made(&made.glb, format!("engine seed {seed}"), Standing::Cameras(made.cameras), rules)
             }
             "rooms" => World::rooms(rules),
             _ if path.extension().is_none() && !path.exists() => {

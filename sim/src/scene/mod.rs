@@ -4,13 +4,16 @@
 //! of a run can rebuild what it must know (doors and obstacles for walkers) from the rules alone. [`plan`] decides where
 //! everything is, [`rooms`] gives it walls, furniture and moving chairs, and [`glb`] writes it down. [`building`] is the
 //! same plan at the size of the culling figures, with [`furniture`] to find; [`office`] and [`tower`] are cPLP's two models in
-//! spirit.
+//! spirit, [`city`] and [`engine`] are PLP's.
 
 pub mod building;
+pub mod city;
+pub mod engine;
 pub mod furniture;
 pub mod glb;
 pub mod made;
 pub mod office;
+pub mod patch;
 pub mod plan;
 pub mod rooms;
 pub mod tower;

@@ -10,7 +10,7 @@ use clap::Args;
 use eyeline_server::app::number;
 use eyeline_sim::cull::report::{report, write_pictures};
 use eyeline_sim::cull::run::run as run_cullers;
-use eyeline_sim::cull::{CameraPath, CullConfig, Registry, Sweep, World, WorldRules, columns, row};
+use eyeline_sim::cull::{AskedBudget, CameraPath, CullConfig, Registry, Sweep, World, WorldRules, columns, row};
 use eyeline_sim::report::{Progress, Run, rfc3339, table};
 use eyeline_visibility::Resolution;
 
@@ -19,7 +19,7 @@ use super::resolution;
 /// Options of `cull`.
 #[derive(Args)]
 pub struct Cull {
-    /// A .glb or .gltf, or a made world: building, office, tower or rooms. Cameras come from NAME.cameras.json beside a file,
+    /// A .glb or .gltf, or a made world: building, city, engine, office, tower or rooms. Cameras come from NAME.cameras.json beside a file,
     /// or stand in the rooms of NAME.rooms.json, at the places of NAME.places.json, or on floors found with rays
     #[arg(long, value_name = "FILE|NAME", default_value = "building")]
     world: String,
@@ -36,9 +36,9 @@ pub struct Cull {
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     query: Vec<String>,
 
-    /// Budgets to sweep: triangles that PLP may draw by guess [default: 100]
-    #[arg(long, value_name = "TRIANGLES", value_delimiter = ',', allow_negative_numbers = true)]
-    budgets: Vec<usize>,
+    /// Budgets to sweep: what PLP may draw by guess, as triangles or as a share of the scene's [default: cplp 100, others 10%]
+    #[arg(long, value_name = "TRIANGLES|SHARE%", value_delimiter = ',', allow_negative_numbers = true)]
+    budgets: Vec<AskedBudget>,
 
     /// Sizes of the images to sweep, pixels
     #[arg(long, value_name = "WIDTHxHEIGHT", value_delimiter = ',', default_value = "512x512", value_parser = resolution)]
@@ -103,6 +103,10 @@ pub const EXAMPLES: &str = "Examples:
   How much a guess should draw, and what a ball of eyes costs:
   eyeline-sim cull --world office --cullers frustum-backface,cplp --budgets 0,100,1000,10000
   eyeline-sim cull --world building --eye-radius 0,0.1,0.3,1 --eyes 1000 --views 20
+
+  What PLP finds within a budget, of a city and of machines (Klosowski & Silva 2000, table 1):
+  eyeline-sim cull --world city --cullers plp,plp-paper,centroid --tessellation all --budgets 1%,2%,5%,10%
+  eyeline-sim cull --world engine --cullers plp,centroid --budgets 1%,2%,5%,10%
 
   The same views again:
   eyeline-sim cull --world rooms.glb --views 50 --record walk.json

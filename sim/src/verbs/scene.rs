@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use eyeline_sim::scene::building::{self, BuildingRules};
+use eyeline_sim::scene::city::{self, CityRules};
+use eyeline_sim::scene::engine::{self, EngineRules};
 use eyeline_sim::scene::made::MadeModel;
 use eyeline_sim::scene::office::{self, OfficeRules};
 use eyeline_sim::scene::plan::RoomsRules;
@@ -19,6 +21,10 @@ pub enum Scene {
     Building(Building),
     /// Floors of furnished offices along corridors, joined by a stairwell: about a million triangles
     Office(Office),
+    /// Thirty furnished houses along streets, with a path through street, roofs and rooms: about 500,000 triangles
+    City(City),
+    /// Five machines of dense parts, with a path around them: about 810,000 triangles
+    Engine(Engine),
     /// 54 storeys around an atrium: about a million triangles in front of each other
     Tower(Tower),
 }
@@ -139,6 +145,50 @@ pub struct Tower {
     out: PathBuf,
 }
 
+/// Rules of `city`.
+#[derive(Args)]
+pub struct City {
+    /// Houses along +X
+    #[arg(long, value_name = "N", default_value_t = CityRules::default().columns)]
+    columns: u32,
+
+    /// Blocks of two rows of houses along +Z
+    #[arg(long, value_name = "N", default_value_t = CityRules::default().blocks)]
+    blocks: u32,
+
+    /// Views of the path
+    #[arg(long, value_name = "N", default_value_t = CityRules::default().cameras)]
+    cameras: u32,
+
+    /// Decides sizes and furniture of houses; the same seed gives the same bytes
+    #[arg(long, value_name = "N", default_value_t = CityRules::default().seed)]
+    seed: u64,
+
+    /// Where to write the model; NAME.cameras.json is written beside it
+    #[arg(long, value_name = "FILE.glb")]
+    out: PathBuf,
+}
+
+/// Rules of `engine`.
+#[derive(Args)]
+pub struct Engine {
+    /// Machines side by side
+    #[arg(long, value_name = "N", default_value_t = EngineRules::default().copies)]
+    copies: u32,
+
+    /// Views of the path
+    #[arg(long, value_name = "N", default_value_t = EngineRules::default().cameras)]
+    cameras: u32,
+
+    /// Decides where pipes and bolts are; the same seed gives the same bytes
+    #[arg(long, value_name = "N", default_value_t = EngineRules::default().seed)]
+    seed: u64,
+
+    /// Where to write the model; NAME.cameras.json is written beside it
+    #[arg(long, value_name = "FILE.glb")]
+    out: PathBuf,
+}
+
 pub const EXAMPLES: &str = "Examples:
   eyeline-sim scene rooms --out out/rooms.glb
   eyeline-sim scene rooms --columns 3 --rows 3 --seed 8 --moving-share 1 --out out/small.glb
@@ -146,6 +196,8 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim scene building --seed 3 --out out/building.glb
   eyeline-sim scene building --objects-per-room 64 --cameras 60 --out out/crowded.glb
   eyeline-sim scene office --out out/office.glb
+  eyeline-sim scene city --out out/city.glb
+  eyeline-sim scene engine --out out/engine.glb
   eyeline-sim scene tower --modules 10 --out out/tower.glb";
 
 /// Makes and writes a scene.
@@ -156,6 +208,14 @@ pub fn run(scene: &Scene) -> anyhow::Result<()> {
         &Scene::Office(Office { floors, cameras, seed, ref out }) => {
             check_name(out)?;
             write_made(&office::make(&OfficeRules { floors, cameras, seed })?, out)?
+        }
+        &Scene::City(City { columns, blocks, cameras, seed, ref out }) => {
+            check_name(out)?;
+            write_made(&city::make(&CityRules { columns, blocks, cameras, seed })?, out)?
+        }
+        &Scene::Engine(Engine { copies, cameras, seed, ref out }) => {
+            check_name(out)?;
+            write_made(&engine::make(&EngineRules { copies, cameras, seed })?, out)?
         }
         &Scene::Tower(Tower { modules, cameras, seed, ref out }) => {
             check_name(out)?;
