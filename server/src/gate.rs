@@ -53,14 +53,23 @@ pub trait Gate: Send {
     fn ban(&mut self, subject: &str, caller: Caller, until: WorldTime);
 }
 
-/// Lets everybody in who comes without a token, as an actor with any number of avatars: for simulations and tests. Knows no
-/// bans.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct OpenGate;
+/// Lets everybody in, whatever they come with, with any number of avatars: for simulations and tests. Knows no bans.
+#[derive(Clone, Copy, Debug)]
+pub struct OpenGate {
+    /// What everybody may be.
+    pub rank: Rank,
+}
+
+impl Default for OpenGate {
+    /// Actors.
+    fn default() -> OpenGate {
+        OpenGate { rank: Rank::Actor }
+    }
+}
 
 impl Gate for OpenGate {
     fn admit(&mut self, _: &[u8], _: Caller, _: WorldTime) -> Result<Permit, Denial> {
-        Ok(Permit { rank: Rank::Actor, avatars_max: u16::MAX, subject: String::new() })
+        Ok(Permit { rank: self.rank, avatars_max: u16::MAX, subject: String::new() })
     }
 
     fn ban(&mut self, _: &str, _: Caller, _: WorldTime) {}

@@ -10,7 +10,7 @@ use eyeline_client::net::{
 };
 use eyeline_client::session::{Event, Session, SessionConfig};
 use eyeline_protocol::{ClientId, Continuity, Hold, ObjectId, Orientation, Position, Rank, Refusal, Role, WorldTime};
-use eyeline_server::gate::{Caller, Denial, Gate, Permit};
+use eyeline_server::gate::OpenGate;
 use eyeline_server::model::Model;
 use eyeline_server::net::{Handle, Identity, Server, WorldClock};
 use eyeline_server::policy::PolicySettings;
@@ -108,17 +108,6 @@ fn who_is_cut_off_comes_back_and_who_moves_house_goes_on() {
     });
 }
 
-/// Lets everybody fly.
-struct Viewers;
-
-impl Gate for Viewers {
-    fn admit(&mut self, _: &[u8], _: Caller, _: WorldTime) -> Result<Permit, Denial> {
-        Ok(Permit { rank: Rank::Viewer, avatars_max: 0, subject: String::new() })
-    }
-
-    fn ban(&mut self, _: &str, _: Caller, _: WorldTime) {}
-}
-
 fn session(config: SessionConfig) -> Session {
     Session::new(config, Box::new(|| Box::new(DynamicOctree::new(Aabb::EMPTY))))
 }
@@ -133,7 +122,7 @@ fn who_flies_has_no_avatar_and_sees_what_is_there() {
         // An actor's eye stays by its avatar.
         let refused = endpoint.connect(address, viewer(), LocalClock::default()).await.err();
         assert!(matches!(refused, Some(NetError::Refused { refusal: Refusal::Token, .. })), "{refused:?}");
-        handle.with_world(|world| world.set_gate(Box::new(Viewers)));
+        handle.with_world(|world| world.set_gate(Box::new(OpenGate { rank: Rank::Viewer })));
         let mut connection = endpoint.connect(address, viewer(), LocalClock::default()).await.unwrap();
         let scene = connection.scene(&ModelSource::Fetch).await.unwrap();
         // At eye height beside the first chair.

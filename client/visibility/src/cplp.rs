@@ -20,6 +20,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use crate::front::{CellState, DONE, Entry};
 use crate::{Aabb, CellId, Cells, EyeRegion, Face, Neighbour, Octree, OctreeRules, Scene, Target, Tessellation};
 
 /// How much PLP may draw by guess before queries begin.
@@ -93,43 +94,6 @@ pub struct CplpScratch {
     fronts: Vec<CellId>,
     front_ends: Vec<usize>,
 }
-
-#[derive(Clone, Copy, Debug, Default)]
-struct CellState {
-    frame: u32,
-    /// Number of the entry in the front that counts; [`DONE`] once projected or found hidden.
-    entered: u32,
-    solidity: f32,
-}
-
-const DONE: u32 = u32::MAX;
-
-#[derive(Clone, Copy, Debug)]
-struct Entry {
-    solidity: f32,
-    entered: u32,
-    cell: CellId,
-}
-
-impl Ord for Entry {
-    fn cmp(&self, other: &Entry) -> std::cmp::Ordering {
-        self.solidity.total_cmp(&other.solidity).then(self.entered.cmp(&other.entered))
-    }
-}
-
-impl PartialOrd for Entry {
-    fn partial_cmp(&self, other: &Entry) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Entry {
-    fn eq(&self, other: &Entry) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for Entry {}
 
 impl CplpScratch {
     /// The primitives that the last traversal drew, ascending, each once: its visible set.

@@ -16,6 +16,7 @@ mod culler;
 mod delaunay;
 mod dynamic_index;
 mod facets;
+mod front;
 mod front_to_back;
 mod hierarchical_z;
 mod kd_tree;

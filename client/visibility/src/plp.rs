@@ -13,6 +13,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use crate::front::{CellState, DONE, Entry};
 use crate::plp_cells::PlpCells;
 use crate::plp_coverage::CoverageImage;
 use crate::plp_rules::{PlpRules, Requeue, Seeds, Solidity, SolidityMax, Transfer};
@@ -51,43 +52,6 @@ pub struct PlpScratch {
     /// Of a cell under way: triangles by distance.
     order: Vec<(f32, u32)>,
 }
-
-#[derive(Clone, Copy, Debug, Default)]
-struct CellState {
-    frame: u32,
-    /// Number of the entry in the front that counts; [`DONE`] once projected or found out of view.
-    entered: u32,
-    solidity: f32,
-}
-
-const DONE: u32 = u32::MAX;
-
-#[derive(Clone, Copy, Debug)]
-struct Entry {
-    solidity: f32,
-    entered: u32,
-    cell: CellId,
-}
-
-impl Ord for Entry {
-    fn cmp(&self, other: &Entry) -> std::cmp::Ordering {
-        self.solidity.total_cmp(&other.solidity).then(self.entered.cmp(&other.entered))
-    }
-}
-
-impl PartialOrd for Entry {
-    fn partial_cmp(&self, other: &Entry) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Entry {
-    fn eq(&self, other: &Entry) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for Entry {}
 
 impl Default for PlpScratch {
     fn default() -> PlpScratch {

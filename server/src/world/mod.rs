@@ -158,7 +158,7 @@ impl World {
             classes,
             policy,
             audit: None,
-            gate: Box::new(OpenGate),
+            gate: Box::new(OpenGate::default()),
             objects,
             free: Vec::new(),
             spawned: 0,

@@ -17,7 +17,7 @@ pub mod world;
 
 pub use budget::{AskedBudget, BudgetError};
 pub use max_pass::MaxPass;
-pub use path::{Camera, CameraPath, PathError};
+pub use path::{Camera, CameraPath, PathError, Stop};
 pub use registry::{Candidate, Entry, Registry, Setting, Shop, Sweep, SweepError, WithScratch};
 pub use row::{CullRow, columns};
 pub use run::{CullConfig, Outcome};

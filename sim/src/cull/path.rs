@@ -102,10 +102,27 @@ impl Camera {
     }
 }
 
+/// A place on a way: its share of the way, the eye (metres, in the file's space), yaw and pitch (radians).
+pub type Stop = (f64, DVec3, f64, f64);
+
 impl CameraPath {
     /// A path of 90° views.
     pub fn new(cameras: Vec<Camera>) -> CameraPath {
         CameraPath { fov_x_degrees: ninety(), near: centimetre(), resolution: None, cameras }
+    }
+
+    /// `count` 90° views evenly along a way through `stops` (at least two, by their share of the way, from 0 to 1): straight from
+    /// one to the next.
+    pub fn through(stops: &[Stop], count: u32) -> CameraPath {
+        let camera = |number: u32| {
+            let share = f64::from(number) / f64::from(count.max(2) - 1);
+            let next = stops.iter().position(|stop| stop.0 >= share).unwrap_or(stops.len() - 1).max(1);
+            let (from, to) = (stops[next - 1], stops[next]);
+            let t = ((share - from.0) / (to.0 - from.0)).clamp(0.0, 1.0);
+            let mix = |a: f64, b: f64| a + (b - a) * t;
+            Camera::rounded(from.1.lerp(to.1, t), mix(from.2, to.2), mix(from.3, to.3))
+        };
+        CameraPath::new((0..count).map(camera).collect())
     }
 
     /// The views of a scene with this anchor, at a resolution.

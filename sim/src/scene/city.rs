@@ -20,7 +20,7 @@ use super::glb::{GlbWriter, MaterialId, MeshId, Node, Triangles};
 use super::made::{CAMERAS_MAX, MadeError, MadeModel, check};
 use super::patch::{push_patch, push_prism};
 use crate::chance;
-use crate::cull::{Camera, CameraPath};
+use crate::cull::{CameraPath, Stop};
 
 /// Width and depth of a plot, and the width of a street.
 const PLOT: (f64, f64) = (14.0, 15.0);
@@ -276,9 +276,6 @@ fn furnish(house: &House, pieces: &[Piece], chance: &mut Pcg64) -> Vec<(Option<u
     placed
 }
 
-/// A place on the path: share of the way at which it is reached, eye, yaw and pitch.
-type Stop = (f64, DVec3, f64, f64);
-
 fn path(rules: &CityRules, models: &[(House, [MeshId; 2])]) -> CameraPath {
     let block = 2.0 * PLOT.1 + STREET;
     // The street before the middle block, and the house whose door the path goes through.
@@ -309,15 +306,7 @@ fn path(rules: &CityRules, models: &[(House, [MeshId; 2])]) -> CameraPath {
         (0.96, eye(door.x, EYE_HEIGHT, at.z + 0.5), -PI - 1.4, 0.0),
         (1.00, eye(door.x, EYE_HEIGHT, at.z), -PI - 3.3, -0.05),
     ];
-    let camera = |number: u32| {
-        let share = f64::from(number) / f64::from(rules.cameras.max(2) - 1);
-        let next = stops.iter().position(|stop| stop.0 >= share).unwrap_or(stops.len() - 1).max(1);
-        let (from, to) = (stops[next - 1], stops[next]);
-        let t = ((share - from.0) / (to.0 - from.0)).clamp(0.0, 1.0);
-        let mix = |a: f64, b: f64| a + (b - a) * t;
-        Camera::rounded(from.1.lerp(to.1, t), mix(from.2, to.2), mix(from.3, to.3))
-    };
-    CameraPath::new((0..rules.cameras).map(camera).collect())
+    CameraPath::through(&stops, rules.cameras)
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ use super::glb::{GlbWriter, Node, Triangles};
 use super::made::{CAMERAS_MAX, MadeError, MadeModel, check};
 use super::patch::{push_patch, push_surface};
 use crate::chance;
-use crate::cull::{Camera, CameraPath};
+use crate::cull::{CameraPath, Stop};
 
 /// From machine to machine along x.
 const DISTANCE: f64 = 3.2;
@@ -241,9 +241,6 @@ fn seats() -> Triangles {
     mesh
 }
 
-/// A place on the path: share of the way at which it is reached, eye, yaw and pitch.
-type Stop = (f64, DVec3, f64, f64);
-
 fn path(rules: &EngineRules) -> CameraPath {
     let eye = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
     let end = f64::from(rules.copies - 1) * DISTANCE;
@@ -259,15 +256,7 @@ fn path(rules: &EngineRules) -> CameraPath {
         (0.9, eye(near, 1.2, -3.4), -PI, -0.15),
         (1.0, eye(near, 0.75, -2.6), -PI + 0.05, 0.0),
     ];
-    let camera = |number: u32| {
-        let share = f64::from(number) / f64::from(rules.cameras.max(2) - 1);
-        let next = stops.iter().position(|stop| stop.0 >= share).unwrap_or(stops.len() - 1).max(1);
-        let (from, to) = (stops[next - 1], stops[next]);
-        let t = ((share - from.0) / (to.0 - from.0)).clamp(0.0, 1.0);
-        let mix = |a: f64, b: f64| a + (b - a) * t;
-        Camera::rounded(from.1.lerp(to.1, t), mix(from.2, to.2), mix(from.3, to.3))
-    };
-    CameraPath::new((0..rules.cameras).map(camera).collect())
+    CameraPath::through(&stops, rules.cameras)
 }
 
 #[cfg(test)]

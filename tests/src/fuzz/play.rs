@@ -14,7 +14,7 @@ use eyeline_protocol::{
     ClientControl, ClientHeader, ClientId, ClientRecord, Command, Interest, Issue, LinkHeader, LocalTime, ObjectId,
     Orientation, Position, Rank, Reason, Resume, Role, VERSION, Want, WorldInfo, WorldTime,
 };
-use eyeline_server::gate::{Caller, Denial, Gate, Permit};
+use eyeline_server::gate::{Caller, OpenGate};
 use eyeline_server::policy::Visible;
 use eyeline_server::spec::{ClassSpec, ObjectSpec, PathSpec, WorldSpec};
 use eyeline_server::world::{SessionId, Transmit, World, WorldConfig, WorldError, WorldStats};
@@ -36,17 +36,6 @@ impl Occlusion for Wall {
             _ => false,
         }
     }
-}
-
-/// Lets everybody be whatever they want.
-struct Anybody;
-
-impl Gate for Anybody {
-    fn admit(&mut self, _: &[u8], _: Caller, _: WorldTime) -> std::result::Result<Permit, Denial> {
-        Ok(Permit { rank: Rank::Operator, avatars_max: 100, subject: String::new() })
-    }
-
-    fn ban(&mut self, _: &str, _: Caller, _: WorldTime) {}
 }
 
 /// A world of what a file says.
@@ -107,7 +96,7 @@ pub fn play(bytes: &[u8]) {
 /// Plays what the bytes say, and tells what came of it.
 pub fn play_to_the_end(bytes: &[u8]) -> WorldStats {
     let Ok(mut world) = world(furnished()) else { unreachable!("the furniture is well made") };
-    world.set_gate(Box::new(Anybody));
+    world.set_gate(Box::new(OpenGate { rank: Rank::Operator }));
     // Bytes that end early end the play.
     let _ = steps(&mut world, &mut Unstructured::new(bytes));
     *world.stats()
