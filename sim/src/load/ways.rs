@@ -24,7 +24,7 @@ use crate::motion::WalkerPose;
 use crate::people::{FrameHook, Ground, Mover};
 use crate::scene::plan::RoomPlan;
 
-/// Side of a column, metres: half of an avatar. With columns of 1 m clients asked and were told more than twice as much as those who
+/// Side of a column, metres: half of an avatar. With columns of 1 m clients asked and were told far more than those who
 /// cull.
 const COLUMN: f64 = 0.25;
 
