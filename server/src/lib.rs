@@ -69,6 +69,7 @@ pub mod net;
 pub mod path;
 pub mod policy;
 pub mod spec;
+pub mod spring;
 #[cfg(feature = "net")]
 pub mod stop;
 #[cfg(feature = "net")]

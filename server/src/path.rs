@@ -17,6 +17,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use crate::spec::{ObjectSpec, PathSpec, WorldSpec};
+use crate::spring::{Spring, SpringError};
 
 /// How far a wobbling thing turns with its swing: radians a metre of offset.
 const TURN_PER_OFFSET: f64 = 2.0;
@@ -44,6 +45,8 @@ pub struct Path {
     /// Turn about +Y at rest.
     heading: f64,
     speed_bound: f64,
+    /// What draws the thing to where the path has it, if it is not there itself.
+    spring: Option<Spring>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -90,6 +93,15 @@ pub enum PathError {
         /// What would be right.
         remedy: &'static str,
     },
+    /// A spring that cannot be.
+    #[error("the path of object `{object}` has spring.{error}")]
+    Spring {
+        /// Name of the object.
+        object: String,
+        /// What is wrong with it.
+        #[source]
+        error: SpringError,
+    },
     /// The path is faster than its class allows.
     #[error(
         "object `{object}` can reach {bound:.4} m/s on its path (speed {speed} m/s, wobble {wobble} m), more than \
@@ -115,6 +127,7 @@ impl Path {
     /// Prepares the path of one object, whose turn at rest is `heading`. `object` is its name, for errors.
     pub fn new(spec: &PathSpec, heading: f64, object: &str) -> Result<Path, PathError> {
         check(spec, heading, object)?;
+        let in_spring = |error| PathError::Spring { object: object.into(), error };
         let mut segments = Vec::with_capacity(spec.points.len() - 1);
         let mut length = 0.0;
         let mut slope_max = 0.0_f64;
@@ -154,6 +167,7 @@ impl Path {
             wobble: spec.wobble,
             heading,
             speed_bound,
+            spring: spec.spring.as_ref().map(Spring::new).transpose().map_err(in_spring)?,
         })
     }
 
@@ -169,6 +183,11 @@ impl Path {
             if share == 0.0 || share == 1.0 { 0.0 } else { self.wobble * (PI * segment.half_swings * share).sin() };
         let position = segment.from.lerp(segment.to, share) + segment.sideways * offset;
         (position, self.heading + TURN_PER_OFFSET * offset)
+    }
+
+    /// What draws the thing to where the path has it; without one it is there.
+    pub fn spring(&self) -> Option<&Spring> {
+        self.spring.as_ref()
     }
 
     /// Greatest speed of the reference point, in metres a second: never exceeded, and reached if the path has a wobble.
@@ -273,7 +292,7 @@ mod tests {
 
     fn straight(speed: f64, pause: f64) -> PathSpec {
         let points = vec![[1.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
-        PathSpec { points, speed, pause, phase: 0.0, wobble: 0.0, wobble_per_metre: 0.0 }
+        PathSpec { points, speed, pause, phase: 0.0, wobble: 0.0, wobble_per_metre: 0.0, spring: None }
     }
 
     #[test]
@@ -308,6 +327,7 @@ mod tests {
             phase: 0.3,
             wobble: 0.4,
             wobble_per_metre: 1.3,
+            spring: None,
         };
         let path = Path::new(&spec, 0.0, "cart").unwrap();
         let (centre, radius) = path.ball();
@@ -401,7 +421,7 @@ mod tests {
             time_s in -1e4..1e5_f64,
             later_s in prop_oneof![1e-6..1e-3_f64, 1e-3..1.0_f64, 1.0..1e4_f64],
         ) {
-            let spec = PathSpec { points, speed, pause, phase, wobble, wobble_per_metre };
+            let spec = PathSpec { points, speed, pause, phase, wobble, wobble_per_metre, spring: None };
             let path = Path::new(&spec, 0.0, "any").unwrap();
             let moved = path.pose_at(time_s).0.distance(path.pose_at(time_s + later_s).0);
             let gone_s = (time_s + later_s) - time_s;

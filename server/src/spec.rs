@@ -125,4 +125,38 @@ pub struct PathSpec {
     /// Swings a metre of path.
     #[serde(default)]
     pub wobble_per_metre: f64,
+    /// By what it hangs on its path, if it does not follow it to the point.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spring: Option<SpringSpec>,
+}
+
+/// A spring and a damper between a thing and its path: it is drawn to where the path has it, and no faster than its class.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SpringSpec {
+    /// 1/ω: the shorter, the stiffer. 1e-9 to 1e9 seconds; whatever it is, steps of any length are stable.
+    pub time_constant: f64,
+    /// ζ: 1, the default, comes to rest soonest without swinging; less swings, 0 for ever.
+    #[serde(default = "critical")]
+    pub damping: f64,
+    /// A wall that it stops at, wherever its path goes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wall: Option<WallSpec>,
+}
+
+fn critical() -> f64 {
+    1.0
+}
+
+/// A wall: a half-space that a thing's reference point does not enter.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WallSpec {
+    /// Any point of its face.
+    pub point: [f64; 3],
+    /// Away from the wall, of any length.
+    pub normal: [f64; 3],
+    /// The share of its speed that a bounce keeps: 0, the default, to 1.
+    #[serde(default)]
+    pub restitution: f64,
 }

@@ -11,6 +11,7 @@ use glam::DVec3;
 
 use super::{SessionId, WorldConfig, blur};
 use crate::path::Path;
+use crate::spring::Motion;
 
 /// An object of the world. Everything public is the committed state.
 pub struct Object {
@@ -37,6 +38,8 @@ pub struct Object {
     /// Who moves it; nobody but its path if `None`.
     pub(super) owner: Option<SessionId>,
     pub(super) path: Option<Path>,
+    /// How it moves on its path's spring, since the first tick.
+    swing: Option<Motion>,
     /// Whether people may move it.
     pub(super) takeable: bool,
     /// Whether somebody has just taken it: what was said of how it moves holds no longer.
@@ -90,6 +93,7 @@ impl Object {
             alive: true,
             owner: None,
             path: None,
+            swing: None,
             takeable: false,
             is_freed: false,
             wanted: None,
@@ -163,6 +167,15 @@ impl Object {
         let wanted = match &self.path {
             Some(path) => {
                 let (place, heading) = path.pose_at(tick.seconds());
+                let place = match path.spring() {
+                    Some(spring) => {
+                        let before = path.pose_at(tick.seconds() - elapsed).0;
+                        let still = Motion { position: self.position.metres() + anchor, velocity: DVec3::ZERO };
+                        let swing = spring.step(self.swing.unwrap_or(still), before, place, elapsed);
+                        self.swing.insert(swing).position
+                    }
+                    None => place,
+                };
                 Position::from_metres(place - anchor).ok().map(|position| (position, Orientation::from_yaw(heading)))
             }
             // What stands upright turns about the vertical only: its extent holds for no other turn.
@@ -179,6 +192,13 @@ impl Object {
             self.position = position;
             self.orientation = orientation;
             self.changed_at = tick;
+        }
+        if let Some(swing) = &mut self.swing
+            && outcome.clamped
+        {
+            // Its class is slower than its spring would have it: it goes on from where it came to.
+            swing.position = self.position.metres() + anchor;
+            swing.velocity = swing.velocity.clamp_length_max(motion.speed_max);
         }
         outcome
     }
@@ -215,7 +235,8 @@ impl Object {
     /// The bound to tell at this tick; the same for all who ask.
     ///
     /// What follows a preset path is bounded by the ball around the whole path, which does not grow; what nobody moves
-    /// does not grow either. Everything else grows by its class's speed.
+    /// does not grow either. Everything else grows by its class's speed, what hangs on its path by a spring too: a spring
+    /// without damping may swing as far beyond the path as its corners drive it.
     pub(super) fn fresh_tbv(
         &mut self,
         tick: WorldTime,
@@ -226,7 +247,7 @@ impl Object {
         // A ball that does not grow must leave room beside any place in it that was told before or after: with a radius of
         // √(reach² + blur²) its edge is a blur away in some direction from all within reach of its middle (`blur.rs`).
         let (centre, radius, speed) = match (&self.path, self.owner) {
-            (Some(path), _) if config.swept => {
+            (Some(path), _) if config.swept && path.spring().is_none() => {
                 let (middle, reach) = path.ball();
                 let reach = reach.hypot(config.blur) + QUANTUM_METRES;
                 (Position::from_metres(middle - anchor).unwrap_or(self.position), reach, 0.0)

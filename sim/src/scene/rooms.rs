@@ -265,7 +265,7 @@ fn chair_path(room: &Room, table: Rect, side: DVec2, wobbles: bool, chance: &mut
     let phase = chance.random_range(0.0..1.0);
     let (wobble, wobble_per_metre) = if wobbles { WOBBLE } else { (0.0, 0.0) };
     let points = [start, start + side * way].map(|point| on_floor(point).to_array()).to_vec();
-    PathSpec { points, speed, pause, phase, wobble, wobble_per_metre }
+    PathSpec { points, speed, pause, phase, wobble, wobble_per_metre, spring: None }
 }
 
 /// Four spawn points a room, in its corners, away from table and chairs. The first ones are all in different rooms.
@@ -397,7 +397,7 @@ mod tests {
         for millimetres in 999..=1_500 {
             let points = vec![[0.0; 3], [f64::from(millimetres) * 1e-3, 0.0, 0.0]];
             let (wobble, wobble_per_metre) = WOBBLE;
-            let spec = PathSpec { points, speed: CHAIR_SPEED.1, pause: 0.0, phase: 0.0, wobble, wobble_per_metre };
+            let spec = PathSpec { points, speed: CHAIR_SPEED.1, pause: 0.0, phase: 0.0, wobble, wobble_per_metre, spring: None };
             fastest = fastest.max(eyeline_server::path::Path::new(&spec, 0.0, "chair").unwrap().speed_bound());
         }
         assert!((0.8..CHAIR_SPEED_MAX).contains(&fastest), "{fastest}");

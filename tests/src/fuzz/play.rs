@@ -63,6 +63,7 @@ fn furnished() -> WorldSpec {
             phase: 0.0,
             wobble: 0.0,
             wobble_per_metre: 0.0,
+            spring: None,
         }),
     };
     WorldSpec { classes: vec![class], objects: (0..6).map(chair).collect(), ..WorldSpec::default() }
