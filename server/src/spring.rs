@@ -230,7 +230,6 @@ impl Spring {
         }
         None
     }
-
 }
 
 impl Wall {

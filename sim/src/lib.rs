@@ -13,6 +13,7 @@ pub mod relay;
 pub mod report;
 pub mod scene;
 pub mod soak;
+pub mod stability;
 pub mod stage;
 pub mod trace;
 pub mod track;

@@ -30,8 +30,8 @@ use glam::DVec3;
 use crate::facets::Facets;
 use crate::pyramid::{Part, Pyramid};
 use crate::{
-    Aabb, CellClusters, CellId, Clusters, Coverage, Face, KdRules, KdTree, MaskedDepth, Scene, Sides, Tessellation,
-    Traversal, View,
+    Aabb, CellClusters, CellId, Clusters, Coverage, Face, KdRules, KdTree, MaskedDepth, Scene, Sides, SimdLevel,
+    Tessellation, Traversal, View,
 };
 
 /// cPLP over the cells of a tessellation by queries of faces. Never changes once made, so that workers can share it.
@@ -349,8 +349,15 @@ impl Walk<'_> {
 
 impl Default for MaskedCplpScratch {
     fn default() -> MaskedCplpScratch {
+        MaskedCplpScratch::with_level(SimdLevel::new())
+    }
+}
+
+impl MaskedCplpScratch {
+    /// A scratch whose image is drawn and asked at a given level of SIMD; all give the same answers, bit for bit.
+    pub fn with_level(level: SimdLevel) -> MaskedCplpScratch {
         MaskedCplpScratch {
-            image: MaskedDepth::new(Coverage::Sampled),
+            image: MaskedDepth::with_level(Coverage::Sampled, level),
             frame: 0,
             cells: Vec::new(),
             facets: Vec::new(),
@@ -361,9 +368,7 @@ impl Default for MaskedCplpScratch {
             visible: VisibleSet::default(),
         }
     }
-}
 
-impl MaskedCplpScratch {
     /// The primitives that may be seen, ascending, each once: the last walk's visible set.
     pub fn visible(&self) -> &[u32] {
         &self.visible.ids

@@ -144,6 +144,13 @@ impl World {
                 None => position,
             };
             let mut object = Object::new(entry.name.clone(), ClassId(class as u16), position, now);
+            if let Some(path) = &path {
+                // Where it would leave the world it could not be told of, and would seem to stand.
+                let (middle, reach) = path.ball();
+                for corner in [middle - DVec3::splat(reach), middle + DVec3::splat(reach)] {
+                    Position::from_metres(corner - anchor).map_err(out_of_range)?;
+                }
+            }
             object.node = entry.node.clone().unwrap_or_else(|| entry.name.clone());
             object.orientation = Orientation::from_yaw(entry.heading);
             object.path = path;

@@ -397,7 +397,15 @@ mod tests {
         for millimetres in 999..=1_500 {
             let points = vec![[0.0; 3], [f64::from(millimetres) * 1e-3, 0.0, 0.0]];
             let (wobble, wobble_per_metre) = WOBBLE;
-            let spec = PathSpec { points, speed: CHAIR_SPEED.1, pause: 0.0, phase: 0.0, wobble, wobble_per_metre, spring: None };
+            let spec = PathSpec {
+                points,
+                speed: CHAIR_SPEED.1,
+                pause: 0.0,
+                phase: 0.0,
+                wobble,
+                wobble_per_metre,
+                spring: None,
+            };
             fastest = fastest.max(eyeline_server::path::Path::new(&spec, 0.0, "chair").unwrap().speed_bound());
         }
         assert!((0.8..CHAIR_SPEED_MAX).contains(&fastest), "{fastest}");

@@ -10,6 +10,7 @@ mod replay;
 mod scene;
 mod serve;
 mod soak;
+mod stability;
 mod swarm;
 mod track;
 
@@ -58,6 +59,9 @@ pub enum Verb {
     /// Keep every promise in thousands of towns made from seeds, in virtual time; or catch mutants that do not
     #[command(after_long_help = soak::EXAMPLES)]
     Soak(soak::Soak),
+    /// Numbers that can go wrong: hard scenes, views, times, speeds and springs, each against an oracle
+    #[command(after_long_help = stability::EXAMPLES)]
+    Stability(stability::Stability),
 }
 
 /// Runs a verb.
@@ -75,6 +79,7 @@ pub fn run(verb: &Verb) -> anyhow::Result<()> {
         Verb::Replay(options) => replay::run(options),
         Verb::Link(options) => link::run(options),
         Verb::Soak(options) => soak::run(options),
+        Verb::Stability(options) => stability::run(options),
     }
 }
 
