@@ -7,6 +7,7 @@ mod load;
 mod measure;
 mod place;
 mod replay;
+mod report;
 mod scene;
 mod serve;
 mod soak;
@@ -59,6 +60,9 @@ pub enum Verb {
     /// Keep every promise in thousands of towns made from seeds, in virtual time; or catch mutants that do not
     #[command(after_long_help = soak::EXAMPLES)]
     Soak(soak::Soak),
+    /// Put several runs on one page, with one table, one plot of error against run time and one Pareto table over all
+    #[command(after_long_help = report::EXAMPLES)]
+    Report(report::Merge),
     /// Numbers that can go wrong: hard scenes, views, times, speeds and springs, each against an oracle
     #[command(after_long_help = stability::EXAMPLES)]
     Stability(stability::Stability),
@@ -79,6 +83,7 @@ pub fn run(verb: &Verb) -> anyhow::Result<()> {
         Verb::Replay(options) => replay::run(options),
         Verb::Link(options) => link::run(options),
         Verb::Soak(options) => soak::run(options),
+        Verb::Report(options) => report::run(options),
         Verb::Stability(options) => stability::run(options),
     }
 }
