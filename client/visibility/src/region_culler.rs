@@ -14,8 +14,8 @@ use glam::DVec3;
 
 use crate::culler::everything;
 use crate::{
-    Bound, Budget, Cplp, Culled, Culler, EyeRegion, Occluders, OctreeRules, Resolution, Scene, Scratch, Sides,
-    Triangle, View,
+    Aabb, Bound, Budget, Cplp, Culled, Culler, EyeRegion, Occluders, OctreeRules, Resolution, Scene, Scratch,
+    SealedFace, Sides, Target, Traversal, Triangle, UnderOcclusion, View,
 };
 
 /// Conservative PLP for every eye of a ball and every resolution. A region that is no ball gets everything.
@@ -29,6 +29,9 @@ pub struct RegionCuller {
 
 /// Pixels of the image by default: those of 256×128.
 const PIXELS: u32 = 256 * 128;
+
+/// Where doors show no more primitives, no image is drawn.
+const FEW: usize = 500;
 
 /// An image is at most so many times wider than high, or higher than wide; else it shows more than the view.
 const ASPECT_MAX: f64 = 16.0;
@@ -66,6 +69,69 @@ impl RegionCuller {
     }
 }
 
+impl RegionCuller {
+    /// The visible set as doors show it, if that is small enough to be the answer.
+    fn through_doors(&self, region: EyeRegion, image: &View, under: &mut UnderOcclusion) -> Option<Culled> {
+        let tessellation = &**self.cplp.tessellation();
+        let mut portals = std::mem::take(&mut under.portals);
+        portals.walk(tessellation, region, image, |seal| under.believes(seal));
+        under.portals = portals;
+        let portals = &under.portals;
+        if !portals.speak() {
+            return None;
+        }
+        let triangles = self.scene.triangles();
+        let skin = tessellation.cells().skin();
+        let mut visible = Vec::new();
+        for &cell in portals.reached() {
+            visible.extend(tessellation.primitives(cell).iter().copied().filter(|&id| {
+                let triangle = &triangles[id as usize];
+                !turned_away(triangle, region) && !portals.hides_in_cell(cell, &triangle.aabb().inflated(skin))
+            }));
+        }
+        visible.sort_unstable();
+        visible.dedup();
+        let traversal = Traversal {
+            cells_projected: portals.reached().len(),
+            rounds: 1,
+            queries: portals.looks(),
+            triangles_drawn: visible.len(),
+            ..Traversal::default()
+        };
+        (visible.len() <= FEW).then_some(Culled { visible, traversal, z_tests: 0 })
+    }
+}
+
+/// The image, for what can be seen through doors.
+struct Both<'a> {
+    under: &'a mut UnderOcclusion,
+}
+
+impl Both<'_> {
+    fn hides(&self, aabb: &Aabb) -> bool {
+        let bound = Bound::Box(*aabb);
+        self.under.portals.hides(&bound) || self.under.covers(&bound)
+    }
+}
+
+impl Target for Both<'_> {
+    fn draw(&mut self, primitives: &[u32]) {
+        self.under.draw(primitives);
+    }
+
+    fn sees(&self, aabb: &Aabb) -> bool {
+        !self.hides(aabb)
+    }
+
+    fn believes(&self, seal: &SealedFace<'_>) -> bool {
+        self.under.believes(seal)
+    }
+
+    fn is_full(&self) -> bool {
+        self.under.is_full()
+    }
+}
+
 impl Culler for RegionCuller {
     fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
         let Some(image) = self.image(view, region) else {
@@ -77,11 +143,17 @@ impl Culler for RegionCuller {
             scratch.forget();
             return everything(&self.scene);
         }
-        let traversal = self.cplp.traverse(&self.scene, region, Budget { triangles: 0 }, under, cplp);
         let triangles = self.scene.triangles();
+        if region.radius > 0.0
+            && let Some(culled) = self.through_doors(region, &image, under)
+        {
+            return culled;
+        }
+        let mut target = Both { under };
+        let traversal = self.cplp.traverse(&self.scene, region, Budget { triangles: 0 }, &mut target, cplp);
         let seen = |&id: &u32| {
             let triangle = &triangles[id as usize];
-            !turned_away(triangle, region) && !under.covers(&Bound::Box(triangle.aabb()))
+            !turned_away(triangle, region) && !target.hides(&triangle.aabb())
         };
         Culled { visible: cplp.visible().iter().copied().filter(seen).collect(), traversal, z_tests: 0 }
     }

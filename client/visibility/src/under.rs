@@ -25,6 +25,7 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 
 use crate::occluders::Occluders;
+use crate::portals::Portals;
 use crate::under_extent::{Extent, Seen};
 use crate::under_face::{Face, Region};
 use crate::under_region::NARROW;
@@ -72,6 +73,8 @@ pub struct UnderStats {
 pub struct UnderOcclusion {
     occluders: Arc<Occluders>,
     image: Image,
+    /// What is seen through doors, where [`crate::RegionCuller`] asked.
+    pub(crate) portals: Portals,
 }
 
 /// All of it but the occluders, so that drawing can borrow those.
@@ -178,7 +181,7 @@ impl UnderOcclusion {
             sights: Vec::new(),
             stats: UnderStats::default(),
         };
-        UnderOcclusion { occluders, image }
+        UnderOcclusion { occluders, image, portals: Portals::default() }
     }
 
     /// Forgets what was drawn and looks from every eye of `region`.
@@ -192,6 +195,7 @@ impl UnderOcclusion {
         if !region.centre.is_finite() {
             return Err(RegionError::NotFinite);
         }
+        self.portals.forget();
         let image = &mut self.image;
         image.eye = region.centre;
         image.radius = region.radius * (1.0 + 1e-9);
@@ -486,11 +490,13 @@ impl Image {
 
 impl Occlusion for UnderOcclusion {
     fn hides(&self, bound: &Bound) -> bool {
-        self.covers(bound) || self.image.radius > 0.0 && sheets::hide(&self.image, &self.occluders, bound)
+        self.portals.hides(bound)
+            || self.covers(bound)
+            || self.image.radius > 0.0 && sheets::hide(&self.image, &self.occluders, bound)
     }
 
     fn hides_group(&self, around: &Bound) -> bool {
-        self.covers(around)
+        self.portals.hides(around) || self.covers(around)
     }
 }
 
