@@ -2,23 +2,18 @@
 //!
 //! A tree of boxes over the occluders is walked nearer child first; a node whose box is hidden is skipped with all that is
 //! in it. The tree and the polygons are shared by every client of a scene; a worker owns one scratch.
-//!
-//! A ball of eyes first looks through doors ([`crate::portals`]). Where they show little of the scene nothing is drawn: drawing for
-//! a ball costs many times what doors cost, and what little is asked about and not settled by doors goes to [`crate::sheets`].
 
 use std::sync::Arc;
 
 use crate::occluders::{Occluders, Polygon};
 use crate::under::{RegionError, UnderOcclusion};
 use crate::under_region::NARROW;
-use crate::{Aabb, Bound, EyeRegion, KdRules, KdTree, Scene, Tessellation};
+use crate::{Aabb, Bound, EyeRegion, Scene};
 
 /// A scene's occluders in a tree, ready to be looked at from anywhere. Never changes once made.
 #[derive(Debug)]
 pub struct AllRound {
     occluders: Arc<Occluders>,
-    /// Cells that are rooms where the scene has any, if they are known.
-    rooms: Option<KdTree>,
 }
 
 /// What one worker needs to cull: the image and a stack. The image keeps the last eye's occlusion.
@@ -46,19 +41,15 @@ pub struct AllRoundStats {
 /// Polygons that look narrower than this are not drawn, since they would cover next to no whole pixel.
 const WIDTH_MIN_PX: f64 = 1.5;
 
-/// Where the cells behind doors hold no more primitives than this, and no more than this share of the scene, no image is drawn.
-const SHOWN_MAX: (usize, usize) = (1500, 8);
-
 impl AllRound {
     /// Prepares a scene.
     pub fn new(scene: &Scene) -> AllRound {
-        let rooms = Some(KdTree::build(scene, KdRules::default()));
-        AllRound { occluders: Arc::new(Occluders::build(scene)), rooms }
+        AllRound::from_occluders(Arc::new(Occluders::build(scene)))
     }
 
-    /// Prepares given occluders. Without the scene there are no doors, so that balls of eyes take longer.
+    /// Prepares given occluders.
     pub fn from_occluders(occluders: Arc<Occluders>) -> AllRound {
-        AllRound { occluders, rooms: None }
+        AllRound { occluders }
     }
 
     /// The occluders, for an [`UnderOcclusion`] of one's own.
@@ -85,22 +76,11 @@ impl AllRound {
         assert!(Arc::ptr_eq(&self.occluders, scratch.occlusion.occluders()), "scratch was made for another scene");
         scratch.occlusion.start(region)?;
         scratch.stats = AllRoundStats::default();
-        if !self.look_through_doors(region, &mut scratch.occlusion) {
-            self.walk(region, scratch);
-        }
+        self.walk(region, scratch);
         let drawn = scratch.occlusion.stats();
         scratch.stats.polygons = drawn.polygons;
         scratch.stats.joints = drawn.joints;
         Ok(&scratch.occlusion)
-    }
-
-    /// Whether doors show so little that no image is needed.
-    fn look_through_doors(&self, region: EyeRegion, occlusion: &mut UnderOcclusion) -> bool {
-        let Some(rooms) = self.rooms.as_ref().filter(|_| region.radius > 0.0) else { return false };
-        occlusion.look_through_doors(rooms, region, None);
-        let portals = &occlusion.portals;
-        let shown: usize = portals.reached().iter().map(|&cell| rooms.primitives(cell).len()).sum();
-        portals.speak() && shown <= SHOWN_MAX.0.min(rooms.primitive_total() / SHOWN_MAX.1)
     }
 
     fn walk(&self, region: EyeRegion, scratch: &mut AllRoundScratch) {
@@ -108,8 +88,7 @@ impl AllRound {
         let AllRoundScratch { occlusion, stack, stats } = scratch;
         let tree = &self.occluders.tree;
         let mut hidden = |occlusion: &UnderOcclusion, aabb: &Aabb| {
-            let bound = Bound::Box(*aabb);
-            let hidden = occlusion.portals.hides(&bound) || occlusion.covers(&bound);
+            let hidden = occlusion.covers(&Bound::Box(*aabb));
             stats.queries += 1;
             stats.hidden += u64::from(hidden);
             hidden

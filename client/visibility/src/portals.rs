@@ -145,12 +145,12 @@ impl Portals {
         self.looks
     }
 
-    /// Walks from a ball through what `believes` does not close, within a view (its eye is not looked at) or all round.
+    /// Walks from a ball through what `believes` does not close, within the view. The view's eye is not looked at.
     pub fn walk(
         &mut self,
         tessellation: &dyn Tessellation,
         region: EyeRegion,
-        view: Option<&View>,
+        view: &View,
         mut believes: impl FnMut(&SealedFace<'_>) -> bool,
     ) {
         let cells = tessellation.cells();
@@ -207,7 +207,7 @@ impl Portals {
         self.known = Some(cells.root());
     }
 
-    fn begin(&mut self, cells: &Cells, region: EyeRegion, view: Option<&View>) {
+    fn begin(&mut self, cells: &Cells, region: EyeRegion, view: &View) {
         self.known = None;
         self.looks = 0;
         self.pieces.clear();
@@ -224,8 +224,6 @@ impl Portals {
         let reach = root.min.abs().max(root.max.abs()).element_sum() + self.centre.abs().element_sum();
         self.slack = OUTWARD * reach;
         self.radius = region.radius + self.slack;
-        self.view = [ALL; 5];
-        let Some(view) = view else { return };
         let [right, up, forward] = view.axes();
         let x = (view.fov_x * 0.5).tan();
         let y = x * f64::from(view.resolution.height.max(1)) / f64::from(view.resolution.width.max(1));
@@ -305,7 +303,8 @@ impl Portals {
         let mut sides = [ALL; 4];
         for (i, side) in sides.iter_mut().enumerate() {
             let across = (axis + 1 + i / 2) % 3;
-            let (at, other) = if i % 2 == 0 { (window.max, window.min) } else { (window.min, window.max) };
+            let (at, other) =
+                if i % 2 == 0 { (window.max, window.min) } else { (window.min, window.max) };
             // In the plane of the two axes the side is a point v, and n with n·v = −ρ is one of two. The window has some thickness
             // along the axis from rounding: its nearer end counts.
             let depth = if window.min[axis] > 0.0 { window.min[axis] } else { window.max[axis] };
@@ -317,10 +316,7 @@ impl Portals {
             }
             let root = root.sqrt();
             for sign in [1.0, -1.0] {
-                let n = [
-                    (-self.radius * v[0] - sign * root * v[1]) / square,
-                    (-self.radius * v[1] + sign * root * v[0]) / square,
-                ];
+                let n = [(-self.radius * v[0] - sign * root * v[1]) / square, (-self.radius * v[1] + sign * root * v[0]) / square];
                 if n[0] * w[0] + n[1] * w[1] <= -self.radius {
                     let mut normal = DVec3::ZERO;
                     normal[axis] = n[0];
@@ -361,7 +357,10 @@ impl Portals {
 
     fn shows(&self, piece: &Piece, relative: &Aabb) -> bool {
         let slack = DVec3::splat(self.slack);
-        let within = Aabb::new(relative.min.max(piece.around.min - slack), relative.max.min(piece.around.max + slack));
+        let within = Aabb::new(
+            relative.min.max(piece.around.min - slack),
+            relative.max.min(piece.around.max + slack),
+        );
         !within.is_empty() && !piece.sides.iter().chain(&self.view).any(|side| side.misses(&within))
     }
 }

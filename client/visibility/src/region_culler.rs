@@ -30,8 +30,8 @@ pub struct RegionCuller {
 /// Pixels of the image by default: those of 256×128.
 const PIXELS: u32 = 256 * 128;
 
-/// Where doors show no more primitives than this, and no more than this share of the scene, no image is drawn.
-const FEW: (usize, usize) = (500, 8);
+/// Where doors show no more primitives, no image is drawn.
+const FEW: usize = 500;
 
 /// An image is at most so many times wider than high, or higher than wide; else it shows more than the view.
 const ASPECT_MAX: f64 = 16.0;
@@ -73,7 +73,9 @@ impl RegionCuller {
     /// The visible set as doors show it, if that is small enough to be the answer.
     fn through_doors(&self, region: EyeRegion, image: &View, under: &mut UnderOcclusion) -> Option<Culled> {
         let tessellation = &**self.cplp.tessellation();
-        under.look_through_doors(tessellation, region, Some(image));
+        let mut portals = std::mem::take(&mut under.portals);
+        portals.walk(tessellation, region, image, |seal| under.believes(seal));
+        under.portals = portals;
         let portals = &under.portals;
         if !portals.speak() {
             return None;
@@ -96,8 +98,7 @@ impl RegionCuller {
             triangles_drawn: visible.len(),
             ..Traversal::default()
         };
-        let few = visible.len() <= FEW.0.min(triangles.len() / FEW.1);
-        few.then_some(Culled { visible, traversal, z_tests: 0 })
+        (visible.len() <= FEW).then_some(Culled { visible, traversal, z_tests: 0 })
     }
 }
 
