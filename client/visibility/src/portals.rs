@@ -30,8 +30,8 @@ use glam::DVec3;
 
 use crate::{Aabb, Bound, CellId, Cells, EyeRegion, Neighbour, SealedFace, Tessellation, View};
 
-/// So many windows are looked through; where there are more, rooms are no rooms, and an image says more for its time.
-const LOOKS_MAX: usize = 600;
+/// So many windows are looked through; where there are more, cells are no rooms, and an image says more for its time.
+const LOOKS_MAX: usize = 96;
 
 /// A window that grew so often becomes the whole face.
 const GROWTHS_MAX: u8 = 3;
@@ -303,8 +303,7 @@ impl Portals {
         let mut sides = [ALL; 4];
         for (i, side) in sides.iter_mut().enumerate() {
             let across = (axis + 1 + i / 2) % 3;
-            let (at, other) =
-                if i % 2 == 0 { (window.max, window.min) } else { (window.min, window.max) };
+            let (at, other) = if i % 2 == 0 { (window.max, window.min) } else { (window.min, window.max) };
             // In the plane of the two axes the side is a point v, and n with n·v = −ρ is one of two. The window has some thickness
             // along the axis from rounding: its nearer end counts.
             let depth = if window.min[axis] > 0.0 { window.min[axis] } else { window.max[axis] };
@@ -316,7 +315,10 @@ impl Portals {
             }
             let root = root.sqrt();
             for sign in [1.0, -1.0] {
-                let n = [(-self.radius * v[0] - sign * root * v[1]) / square, (-self.radius * v[1] + sign * root * v[0]) / square];
+                let n = [
+                    (-self.radius * v[0] - sign * root * v[1]) / square,
+                    (-self.radius * v[1] + sign * root * v[0]) / square,
+                ];
                 if n[0] * w[0] + n[1] * w[1] <= -self.radius {
                     let mut normal = DVec3::ZERO;
                     normal[axis] = n[0];
@@ -357,10 +359,7 @@ impl Portals {
 
     fn shows(&self, piece: &Piece, relative: &Aabb) -> bool {
         let slack = DVec3::splat(self.slack);
-        let within = Aabb::new(
-            relative.min.max(piece.around.min - slack),
-            relative.max.min(piece.around.max + slack),
-        );
+        let within = Aabb::new(relative.min.max(piece.around.min - slack), relative.max.min(piece.around.max + slack));
         !within.is_empty() && !piece.sides.iter().chain(&self.view).any(|side| side.misses(&within))
     }
 }

@@ -4,6 +4,10 @@
 //! to whatever an eye sees, `under_region` for "hidden"). Afterwards each primitive's own box is asked about, which is
 //! much tighter than its cell's, and primitives that turn their one side away from the whole ball are dropped.
 //!
+//! A ball first looks through doors ([`crate::portals`]). Where they show little, that is the answer, and nothing is drawn:
+//! [`crate::sheets`] has the last word about bounds. Else doors speak beside the image, which is drawn as if there were none: an image
+//! that leaves out what doors hide hides less.
+//!
 //! The promise is about rays. A rasteriser that snaps corners can open a crack where walls meet without sharing corners, or
 //! turn a triangle that is seen nearly edge-on; what a picture shows there, no ray meets. (5 pixels of 450 million on oa_koth1:
 //! `eyeline-sim cull --cullers region --views 500 --resolution 1000x900`, column `cracks`.)
@@ -14,8 +18,8 @@ use glam::DVec3;
 
 use crate::culler::everything;
 use crate::{
-    Aabb, Bound, Budget, Cplp, Culled, Culler, EyeRegion, Occluders, OctreeRules, Resolution, Scene, Scratch,
-    SealedFace, Sides, Target, Traversal, Triangle, UnderOcclusion, View,
+    Bound, Budget, Cplp, Culled, Culler, EyeRegion, KdRules, KdTree, Occluders, Resolution, Scene, Scratch, Sides,
+    Traversal, Triangle, UnderOcclusion, View,
 };
 
 /// Conservative PLP for every eye of a ball and every resolution. A region that is no ball gets everything.
@@ -30,8 +34,11 @@ pub struct RegionCuller {
 /// Pixels of the image by default: those of 256×128.
 const PIXELS: u32 = 256 * 128;
 
-/// Where doors show no more primitives, no image is drawn.
-const FEW: usize = 500;
+/// Where doors show no more primitives than this, no image is drawn: it costs more than it can take away.
+const SHOWN_MAX: usize = 500;
+
+/// Nor is one drawn only if that is at most one primitive in so many of the scene. Else it has no rooms, and what hides is no wall.
+const SHOWN_SHARE: usize = 8;
 
 /// An image is at most so many times wider than high, or higher than wide; else it shows more than the view.
 const ASPECT_MAX: f64 = 16.0;
@@ -48,10 +55,11 @@ impl RegionCuller {
         RegionCuller { scene, cplp, occluders, pixels: pixels.clamp(1, 1 << 20) }
     }
 
-    /// Makes cells and occluders by default rules.
+    /// Makes cells and occluders by default rules. Cells that are cut at walls have doors between them; an octree's have not.
     pub fn build(scene: Arc<Scene>) -> RegionCuller {
-        let (cplp, occluders) = (Cplp::build(&scene, OctreeRules::default()), Occluders::build(&scene));
-        RegionCuller::new(scene, Arc::new(cplp), Arc::new(occluders), PIXELS)
+        let cells = Arc::new(KdTree::build(&scene, KdRules::default()));
+        let occluders = Arc::new(Occluders::build(&scene));
+        RegionCuller::new(scene, Arc::new(Cplp::new(cells)), occluders, PIXELS)
     }
 
     /// The view as this culler draws it: from the region's centre, at least as wide and high, in its own resolution.
@@ -73,9 +81,7 @@ impl RegionCuller {
     /// The visible set as doors show it, if that is small enough to be the answer.
     fn through_doors(&self, region: EyeRegion, image: &View, under: &mut UnderOcclusion) -> Option<Culled> {
         let tessellation = &**self.cplp.tessellation();
-        let mut portals = std::mem::take(&mut under.portals);
-        portals.walk(tessellation, region, image, |seal| under.believes(seal));
-        under.portals = portals;
+        under.look_through_doors(tessellation, region, image);
         let portals = &under.portals;
         if !portals.speak() {
             return None;
@@ -91,6 +97,7 @@ impl RegionCuller {
         }
         visible.sort_unstable();
         visible.dedup();
+        let few = visible.len() <= SHOWN_MAX.min(triangles.len() / SHOWN_SHARE);
         let traversal = Traversal {
             cells_projected: portals.reached().len(),
             rounds: 1,
@@ -98,37 +105,7 @@ impl RegionCuller {
             triangles_drawn: visible.len(),
             ..Traversal::default()
         };
-        (visible.len() <= FEW).then_some(Culled { visible, traversal, z_tests: 0 })
-    }
-}
-
-/// The image, for what can be seen through doors.
-struct Both<'a> {
-    under: &'a mut UnderOcclusion,
-}
-
-impl Both<'_> {
-    fn hides(&self, aabb: &Aabb) -> bool {
-        let bound = Bound::Box(*aabb);
-        self.under.portals.hides(&bound) || self.under.covers(&bound)
-    }
-}
-
-impl Target for Both<'_> {
-    fn draw(&mut self, primitives: &[u32]) {
-        self.under.draw(primitives);
-    }
-
-    fn sees(&self, aabb: &Aabb) -> bool {
-        !self.hides(aabb)
-    }
-
-    fn believes(&self, seal: &SealedFace<'_>) -> bool {
-        self.under.believes(seal)
-    }
-
-    fn is_full(&self) -> bool {
-        self.under.is_full()
+        few.then_some(Culled { visible, traversal, z_tests: 0 })
     }
 }
 
@@ -149,11 +126,10 @@ impl Culler for RegionCuller {
         {
             return culled;
         }
-        let mut target = Both { under };
-        let traversal = self.cplp.traverse(&self.scene, region, Budget { triangles: 0 }, &mut target, cplp);
+        let traversal = self.cplp.traverse(&self.scene, region, Budget { triangles: 0 }, under, cplp);
         let seen = |&id: &u32| {
             let triangle = &triangles[id as usize];
-            !turned_away(triangle, region) && !target.hides(&triangle.aabb())
+            !turned_away(triangle, region) && !under.covers(&Bound::Box(triangle.aabb()))
         };
         Culled { visible: cplp.visible().iter().copied().filter(seen).collect(), traversal, z_tests: 0 }
     }

@@ -29,7 +29,7 @@ use crate::portals::Portals;
 use crate::under_extent::{Extent, Seen};
 use crate::under_face::{Face, Region};
 use crate::under_region::NARROW;
-use crate::{Aabb, Bound, EyeRegion, Occlusion, SealedFace, Target, View, sheets};
+use crate::{Aabb, Bound, EyeRegion, Occlusion, SealedFace, Target, Tessellation, View, sheets};
 
 /// Occluders count from this many near distances on, along the image's axis. A camera that is turned by θ against it
 /// still has them beyond its own near plane if cos θ ≥ 1/2: true up to 120° of diagonal angle of view.
@@ -250,6 +250,13 @@ impl UnderOcclusion {
             return false;
         }
         self.image.faces.iter().all(|face| self.image.hides_in(face, bound, &relative))
+    }
+
+    /// Finds out what the region, which this was started with, sees through doors in a view.
+    pub(crate) fn look_through_doors(&mut self, rooms: &dyn Tessellation, region: EyeRegion, view: &View) {
+        let mut portals = std::mem::take(&mut self.portals);
+        portals.walk(rooms, region, view, |seal| self.believes(seal));
+        self.portals = portals;
     }
 
     /// Pixels per unit of tangent.
