@@ -112,7 +112,7 @@ fn check(
     hidden as f64 / (rays * regions.len()) as f64
 }
 
-/// Balls in rooms, at and in walls, in corners and on floors.
+/// Balls in rooms, at and in walls, in corners, on floors and before the building.
 fn regions(n: u32, count: usize, rng: &mut Pcg64) -> Vec<EyeRegion> {
     let radii = [0.05, 0.15, 0.3, 0.6, 1.0];
     let region = |i: usize| {
@@ -123,6 +123,7 @@ fn regions(n: u32, count: usize, rng: &mut Pcg64) -> Vec<EyeRegion> {
             2 => centre = (centre / ROOM).round() * ROOM + DVec3::new(0.3, 1.7, 0.2),
             3 => centre.z = (centre.z / ROOM).round() * ROOM + 0.05,
             4 => centre.y = radius,
+            5 => centre.x = -0.1 - radius * 0.5,
             _ => {}
         }
         EyeRegion { centre, radius }
@@ -195,6 +196,21 @@ fn a_door_shows_what_its_separating_planes_leave() {
     assert!(scratch.occlusion().hides(&Bound::Box(Aabb::around(DVec3::new(0.0, 1.0, 4.0), DVec3::splat(0.5)))));
     assert!(!scratch.occlusion().hides(&Bound::Box(Aabb::around(DVec3::new(0.0, 1.0, -2.0), DVec3::splat(50.0)))));
     assert!(!scratch.occlusion().hides(&Bound::Everywhere));
+}
+
+#[test]
+fn from_outside_all_cells_there_are_no_doors() {
+    let scene = Arc::new(two_rooms());
+    let culler = in_kd_cells(&scene);
+    let mut scratch = Scratch::default();
+    // Wholly and partly before the outer wall, which ends at 6.3 m.
+    for z in [8.0, 6.5] {
+        let view = View::level(DVec3::new(0.0, 1.6, z), 0.0, 1.6, Resolution::new(64, 48));
+        let visible = culler.cull(&view, EyeRegion { centre: view.eye, radius: 0.3 }, &mut scratch).visible;
+        let seen = exact_set(&scene, &view).0;
+        assert!(!seen.is_empty() && seen.iter().all(|id| visible.binary_search(id).is_ok()), "{visible:?} at {z}");
+        assert!(!scratch.occlusion().hides(&Bound::Box(Aabb::around(view.eye, DVec3::splat(0.1)))));
+    }
 }
 
 #[test]
