@@ -349,10 +349,8 @@ impl Portals {
 
     /// Whether no point of the bound can be seen.
     pub fn hides(&self, bound: &Bound) -> bool {
-        let Some(aabb) = bound.outer_box() else { return false };
-        if !self.known.is_some_and(|root| root.contains_box(&aabb)) {
-            return false;
-        }
+        let Some(root) = &self.known else { return false };
+        let Some(aabb) = bound.outer_box().filter(|aabb| root.contains_box(aabb)) else { return false };
         let relative = self.relative(&aabb);
         !self.pieces.iter().any(|piece| self.shows(piece, &relative))
     }
