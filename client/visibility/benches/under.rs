@@ -7,9 +7,12 @@ mod under_support;
 use std::sync::Arc;
 
 use divan::{Bencher, black_box};
-use eyeline_visibility::{Aabb, AllRound, AllRoundCells, Bound, EyeRegion, Occlusion, OctreeRules, Sides};
+use eyeline_visibility::{
+    Aabb, AllRound, AllRoundCells, Bound, Culler, EyeRegion, Occlusion, OctreeRules, RegionCuller, Resolution, Scratch,
+    Sides, View,
+};
 use glam::DVec3;
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use under_support::{Corners, random_eye, rooms};
 
@@ -113,6 +116,25 @@ fn cull(bencher: Bencher, corners: Corners, side: u32) {
     bencher.bench_local(|| {
         next = (next + 1) % eyes.len();
         all_round.cull(EyeRegion::point(black_box(eyes[next])), &mut scratch).unwrap();
+    });
+}
+
+/// One view in cells that are cut at walls, from a point or a ball of this radius, metres: doors answer for the ball.
+#[divan::bench(args = [0.0, 0.3])]
+fn cull_view(bencher: Bencher, radius: f64) {
+    let mut rng = Pcg64::seed_from_u64(7);
+    let scene = Arc::new(rooms(22, Corners::Abut, Sides::Both, 0.0, &mut rng));
+    let culler = RegionCuller::build(scene);
+    let view = |rng: &mut Pcg64| {
+        View::level(random_eye(22, 0.0, rng), rng.random_range(0.0..6.3), 1.57, Resolution::new(1024, 512))
+    };
+    let views: Vec<View> = (0..64).map(|_| view(&mut rng)).collect();
+    let mut scratch = Scratch::default();
+    let mut next = 0;
+    bencher.bench_local(|| {
+        next = (next + 1) % views.len();
+        let view = black_box(&views[next]);
+        culler.cull(view, EyeRegion { centre: view.eye, radius }, &mut scratch)
     });
 }
 

@@ -33,6 +33,7 @@ mod plp_cells;
 mod plp_coverage;
 mod plp_culler;
 mod plp_rules;
+mod portals;
 mod pyramid;
 mod query;
 mod raster_sampled;

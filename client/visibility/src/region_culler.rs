@@ -4,6 +4,10 @@
 //! to whatever an eye sees, `under_region` for "hidden"). Afterwards each primitive's own box is asked about, which is
 //! much tighter than its cell's, and primitives that turn their one side away from the whole ball are dropped.
 //!
+//! A ball first looks through doors ([`crate::portals`]). Where they show little, that is the answer, and nothing is drawn:
+//! [`crate::sheets`] has the last word about bounds. Else doors speak beside the image, which is drawn as if there were none: an image
+//! that leaves out what doors hide hides less.
+//!
 //! The promise is about rays. A rasteriser that snaps corners can open a crack where walls meet without sharing corners, or
 //! turn a triangle that is seen nearly edge-on; what a picture shows there, no ray meets. (5 pixels of 450 million on oa_koth1:
 //! `eyeline-sim cull --cullers region --views 500 --resolution 1000x900`, column `cracks`.)
@@ -14,8 +18,8 @@ use glam::DVec3;
 
 use crate::culler::everything;
 use crate::{
-    Bound, Budget, Cplp, Culled, Culler, EyeRegion, Occluders, OctreeRules, Resolution, Scene, Scratch, Sides,
-    Triangle, View,
+    Bound, Budget, Cplp, Culled, Culler, EyeRegion, KdRules, KdTree, Occluders, Resolution, Scene, Scratch, Sides,
+    Traversal, Triangle, UnderOcclusion, View,
 };
 
 /// Conservative PLP for every eye of a ball and every resolution. A region that is no ball gets everything.
@@ -29,6 +33,12 @@ pub struct RegionCuller {
 
 /// Pixels of the image by default: those of 256×128.
 const PIXELS: u32 = 256 * 128;
+
+/// Where doors show no more primitives than this, no image is drawn: it costs more than it can take away.
+const SHOWN_MAX: usize = 500;
+
+/// Nor is one drawn only if that is at most one primitive in so many of the scene. Else it has no rooms, and what hides is no wall.
+const SHOWN_SHARE: usize = 8;
 
 /// An image is at most so many times wider than high, or higher than wide; else it shows more than the view.
 const ASPECT_MAX: f64 = 16.0;
@@ -45,10 +55,11 @@ impl RegionCuller {
         RegionCuller { scene, cplp, occluders, pixels: pixels.clamp(1, 1 << 20) }
     }
 
-    /// Makes cells and occluders by default rules.
+    /// Makes cells and occluders by default rules. Cells that are cut at walls have doors between them; an octree's have not.
     pub fn build(scene: Arc<Scene>) -> RegionCuller {
-        let (cplp, occluders) = (Cplp::build(&scene, OctreeRules::default()), Occluders::build(&scene));
-        RegionCuller::new(scene, Arc::new(cplp), Arc::new(occluders), PIXELS)
+        let cells = Arc::new(KdTree::build(&scene, KdRules::default()));
+        let occluders = Arc::new(Occluders::build(&scene));
+        RegionCuller::new(scene, Arc::new(Cplp::new(cells)), occluders, PIXELS)
     }
 
     /// The view as this culler draws it: from the region's centre, at least as wide and high, in its own resolution.
@@ -66,6 +77,38 @@ impl RegionCuller {
     }
 }
 
+impl RegionCuller {
+    /// The visible set as doors show it, if that is small enough to be the answer.
+    fn through_doors(&self, region: EyeRegion, image: &View, under: &mut UnderOcclusion) -> Option<Culled> {
+        let tessellation = &**self.cplp.tessellation();
+        under.look_through_doors(tessellation, region, image);
+        let portals = &under.portals;
+        if !portals.speak() {
+            return None;
+        }
+        let triangles = self.scene.triangles();
+        let skin = tessellation.cells().skin();
+        let mut visible = Vec::new();
+        for &cell in portals.reached() {
+            visible.extend(tessellation.primitives(cell).iter().copied().filter(|&id| {
+                let triangle = &triangles[id as usize];
+                !turned_away(triangle, region) && !portals.hides_in_cell(cell, &triangle.aabb().inflated(skin))
+            }));
+        }
+        visible.sort_unstable();
+        visible.dedup();
+        let few = visible.len() <= SHOWN_MAX.min(triangles.len() / SHOWN_SHARE);
+        let traversal = Traversal {
+            cells_projected: portals.reached().len(),
+            rounds: 1,
+            queries: portals.looks(),
+            triangles_drawn: visible.len(),
+            ..Traversal::default()
+        };
+        few.then_some(Culled { visible, traversal, z_tests: 0 })
+    }
+}
+
 impl Culler for RegionCuller {
     fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
         let Some(image) = self.image(view, region) else {
@@ -77,8 +120,13 @@ impl Culler for RegionCuller {
             scratch.forget();
             return everything(&self.scene);
         }
-        let traversal = self.cplp.traverse(&self.scene, region, Budget { triangles: 0 }, under, cplp);
         let triangles = self.scene.triangles();
+        if region.radius > 0.0
+            && let Some(culled) = self.through_doors(region, &image, under)
+        {
+            return culled;
+        }
+        let traversal = self.cplp.traverse(&self.scene, region, Budget { triangles: 0 }, under, cplp);
         let seen = |&id: &u32| {
             let triangle = &triangles[id as usize];
             !turned_away(triangle, region) && !under.covers(&Bound::Box(triangle.aabb()))

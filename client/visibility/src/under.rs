@@ -25,10 +25,11 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 
 use crate::occluders::Occluders;
+use crate::portals::Portals;
 use crate::under_extent::{Extent, Seen};
 use crate::under_face::{Face, Region};
 use crate::under_region::NARROW;
-use crate::{Aabb, Bound, EyeRegion, Occlusion, SealedFace, Target, View, sheets};
+use crate::{Aabb, Bound, EyeRegion, Occlusion, SealedFace, Target, Tessellation, View, sheets};
 
 /// Occluders count from this many near distances on, along the image's axis. A camera that is turned by θ against it
 /// still has them beyond its own near plane if cos θ ≥ 1/2: true up to 120° of diagonal angle of view.
@@ -72,6 +73,8 @@ pub struct UnderStats {
 pub struct UnderOcclusion {
     occluders: Arc<Occluders>,
     image: Image,
+    /// What is seen through doors, where [`crate::RegionCuller`] asked.
+    pub(crate) portals: Portals,
 }
 
 /// All of it but the occluders, so that drawing can borrow those.
@@ -178,7 +181,7 @@ impl UnderOcclusion {
             sights: Vec::new(),
             stats: UnderStats::default(),
         };
-        UnderOcclusion { occluders, image }
+        UnderOcclusion { occluders, image, portals: Portals::default() }
     }
 
     /// Forgets what was drawn and looks from every eye of `region`.
@@ -192,6 +195,7 @@ impl UnderOcclusion {
         if !region.centre.is_finite() {
             return Err(RegionError::NotFinite);
         }
+        self.portals.forget();
         let image = &mut self.image;
         image.eye = region.centre;
         image.radius = region.radius * (1.0 + 1e-9);
@@ -246,6 +250,13 @@ impl UnderOcclusion {
             return false;
         }
         self.image.faces.iter().all(|face| self.image.hides_in(face, bound, &relative))
+    }
+
+    /// Finds out what the region, which this was started with, sees through doors in a view.
+    pub(crate) fn look_through_doors(&mut self, rooms: &dyn Tessellation, region: EyeRegion, view: &View) {
+        let mut portals = std::mem::take(&mut self.portals);
+        portals.walk(rooms, region, view, |seal| self.believes(seal));
+        self.portals = portals;
     }
 
     /// Pixels per unit of tangent.
@@ -486,11 +497,13 @@ impl Image {
 
 impl Occlusion for UnderOcclusion {
     fn hides(&self, bound: &Bound) -> bool {
-        self.covers(bound) || self.image.radius > 0.0 && sheets::hide(&self.image, &self.occluders, bound)
+        self.portals.hides(bound)
+            || self.covers(bound)
+            || self.image.radius > 0.0 && sheets::hide(&self.image, &self.occluders, bound)
     }
 
     fn hides_group(&self, around: &Bound) -> bool {
-        self.covers(around)
+        self.portals.hides(around) || self.covers(around)
     }
 }
 

@@ -6,8 +6,8 @@ mod under_support;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, AllRound, AllRoundCells, Bound, Culler, EyeRegion, Occluders, Occlusion, OctreeRules, RayScene, RegionCuller,
-    Resolution, Scene, Scratch, Sides, Triangle, UnderOcclusion, View, exact_set,
+    Aabb, AllRound, AllRoundCells, Bound, Cplp, Culler, EyeRegion, Occluders, Occlusion, OctreeRules, RayScene,
+    RegionCuller, Resolution, Scene, Scratch, Sides, Triangle, UnderOcclusion, View, exact_set,
 };
 use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
@@ -350,6 +350,9 @@ fn check_sets(scene: Scene, regions: &[EyeRegion], eyes: usize, rays: usize, sid
     let scene = Arc::new(scene);
     let ray_scene = RayScene::new(&scene);
     let culler = RegionCuller::build(Arc::clone(&scene));
+    // Without doors an image is all there is.
+    let octree = Arc::new(Cplp::build(&scene, OctreeRules::default()));
+    let drawing = RegionCuller::new(Arc::clone(&scene), octree, Arc::new(Occluders::build(&scene)), 128 * 64);
     let cells = AllRoundCells::new(Arc::clone(&scene), OctreeRules::default());
     let (mut scratch, mut cells_scratch) = (Scratch::default(), cells.scratch(64));
     let (mut kept, mut seen_total) = (0, 0);
@@ -358,6 +361,7 @@ fn check_sets(scene: Scene, regions: &[EyeRegion], eyes: usize, rays: usize, sid
         let mut view = View::level(region.centre, rng.random_range(0.0..6.3), rng.random_range(0.6..2.2), resolution);
         view.orientation *= glam::DQuat::from_rotation_x(rng.random_range(-0.5..0.5));
         let visible = culler.cull(&view, region, &mut scratch).visible;
+        let drawn = drawing.cull(&view, region, &mut scratch).visible;
         cells.cull(region, &mut cells_scratch).unwrap();
         let mut seen = vec![false; scene.triangles().len()];
         for _ in 0..eyes {
@@ -365,6 +369,7 @@ fn check_sets(scene: Scene, regions: &[EyeRegion], eyes: usize, rays: usize, sid
             let from = View { eye, ..view };
             for id in exact_set(&scene, &from).0 {
                 assert!(visible.binary_search(&id).is_ok(), "{id} is seen from {eye} in {region:?}, {view:?}");
+                assert!(drawn.binary_search(&id).is_ok(), "{id} is seen from {eye} in {region:?}, {view:?}");
                 assert!(cells_scratch.visible().binary_search(&id).is_ok(), "{id} is seen from {eye} in {region:?}");
                 seen[id as usize] = true;
             }
