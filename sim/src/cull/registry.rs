@@ -482,7 +482,7 @@ impl Registry {
                 about: "for every eye of a ball and every resolution: under-estimating coverage with supporting planes",
                 conservative: true,
                 by_rays: true,
-                tessellations: &[OCTREE, KD_TREE],
+                tessellations: &[KD_TREE, OCTREE],
                 queries: &["under"],
                 budget: None,
                 make: |shop, setting| {
