@@ -30,6 +30,8 @@ fn main() -> ExitCode {
     let ran = match options.command {
         Command::Headless(options) => app::headless(&options),
         Command::Operate(options) => operate::operate(&options),
+        #[cfg(feature = "viewer")]
+        Command::Shot(options) => eyeline_client::viewer::shot::shot(&options),
     };
     match ran {
         Ok(()) => ExitCode::SUCCESS,
