@@ -28,7 +28,11 @@ pub enum Command {
     /// Make a picture of a world, without a window
     #[cfg(feature = "viewer")]
     #[command(after_long_help = crate::viewer::shot::EXAMPLES)]
-    Shot(crate::viewer::shot::Shot),
+    Shot(Box<crate::viewer::shot::Shot>),
+    /// Look at a world in a window, with a server or without
+    #[cfg(feature = "viewer")]
+    #[command(after_long_help = crate::viewer::view::EXAMPLES)]
+    View(Box<crate::viewer::view::ViewOptions>),
 }
 
 /// Where the model comes from.

@@ -32,6 +32,8 @@ fn main() -> ExitCode {
         Command::Operate(options) => operate::operate(&options),
         #[cfg(feature = "viewer")]
         Command::Shot(options) => eyeline_client::viewer::shot::shot(&options),
+        #[cfg(feature = "viewer")]
+        Command::View(options) => eyeline_client::viewer::view::view(&options),
     };
     match ran {
         Ok(()) => ExitCode::SUCCESS,

@@ -144,7 +144,9 @@ impl Gpu {
             let is_of_kind = choice == AdapterChoice::Best || is_software(adapter);
             is_of_kind && surface.is_none_or(|surface| adapter.is_surface_supported(surface))
         };
-        let best = (adapters.iter().enumerate()).filter(|(_, adapter)| is_fit(adapter)).min_by_key(|(_, adapter)| rank(adapter));
+        let best = (adapters.iter().enumerate())
+            .filter(|(_, adapter)| is_fit(adapter))
+            .min_by_key(|(_, adapter)| rank(adapter));
         let Some((best, _)) = best else {
             let wanted = match (choice, surface) {
                 (AdapterChoice::Software, _) => "software",

@@ -72,7 +72,8 @@ impl Overlay {
     pub fn solid_box(&mut self, aabb: &Aabb, color: Color) {
         for [a, b] in [[1, 2], [2, 4], [4, 1]] {
             for side in [0, 7 & !(a | b)] {
-                let [p, q, r, s] = [side, side | a, side | a | b, side | b].map(|bits| point(corner(aabb, bits), color));
+                let [p, q, r, s] =
+                    [side, side | a, side | a | b, side | b].map(|bits| point(corner(aabb, bits), color));
                 self.faces.extend([p, q, r, p, r, s]);
             }
         }
@@ -207,7 +208,8 @@ impl OverlayPass {
         let (width, height) = (resolution.width.max(1) as f32, resolution.height.max(1) as f32);
         let mut points = Vec::new();
         let mut ends = [0; 4];
-        for (end, list) in ends.iter_mut().zip([&overlay.faces, &overlay.lines, &overlay.lines_through, &overlay.flat]) {
+        for (end, list) in ends.iter_mut().zip([&overlay.faces, &overlay.lines, &overlay.lines_through, &overlay.flat])
+        {
             points.extend_from_slice(list);
             *end = points.len() as u32;
         }
@@ -253,15 +255,21 @@ mod tests {
         let aabb = Aabb::new(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0));
         overlay.wire_box(&aabb, [1.0; 4], false);
         assert_eq!(overlay.lines.len(), 24);
-        let lengths: f32 = overlay.lines.chunks(2).map(|pair| {
-            (0..3).map(|axis| (pair[0].place[axis] - pair[1].place[axis]).abs()).sum::<f32>()
-        }).sum();
+        let lengths: f32 = overlay
+            .lines
+            .chunks(2)
+            .map(|pair| (0..3).map(|axis| (pair[0].place[axis] - pair[1].place[axis]).abs()).sum::<f32>())
+            .sum();
         assert_eq!(lengths, 4.0 * (1.0 + 2.0 + 3.0));
         overlay.solid_box(&aabb, [1.0; 4]);
-        let area: f32 = overlay.faces.chunks(3).map(|triangle| {
-            let [a, b, c] = [0, 1, 2].map(|corner| glam::Vec3::from_array(triangle[corner].place));
-            (b - a).cross(c - a).length() / 2.0
-        }).sum();
+        let area: f32 = overlay
+            .faces
+            .chunks(3)
+            .map(|triangle| {
+                let [a, b, c] = [0, 1, 2].map(|corner| glam::Vec3::from_array(triangle[corner].place));
+                (b - a).cross(c - a).length() / 2.0
+            })
+            .sum();
         assert_eq!(area, 2.0 * (2.0 + 3.0 + 6.0));
     }
 

@@ -4,8 +4,9 @@ use eyeline_visibility::Resolution;
 use image::RgbaImage;
 
 use super::gpu::{Gpu, GpuError};
-use super::renderer::{DEPTH, DrawStats, Frame, Renderer};
+use super::model::{Mesh, Model};
 use super::overlay::{Overlay, OverlayPass};
+use super::renderer::{DEPTH, DrawStats, Frame, Renderer};
 
 /// Format of pictures.
 pub const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
@@ -19,13 +20,19 @@ pub struct Stage {
     pub renderer: Renderer,
     /// What is drawn over it.
     pub overlays: OverlayPass,
+    format: wgpu::TextureFormat,
     depth: Option<(Resolution, wgpu::TextureView)>,
 }
 
 impl Stage {
-    /// Passes over one scene.
-    pub fn new(renderer: Renderer, overlays: OverlayPass) -> Stage {
-        Stage { renderer, overlays, depth: None }
+    /// Passes over a model and further meshes that move, into images of a format: [`FORMAT`], or a window's.
+    ///
+    /// # Errors
+    /// If the adapter has no room for it.
+    pub fn new(gpu: &Gpu, model: &Model, more: &[Mesh], format: wgpu::TextureFormat) -> Result<Stage, GpuError> {
+        let renderer = Renderer::new(gpu, model, more, format)?;
+        let overlays = OverlayPass::new(gpu, &renderer, format)?;
+        Ok(Stage { renderer, overlays, format, depth: None })
     }
 
     /// Draws a frame into an image of the view's resolution, which must have pixels.
@@ -87,7 +94,7 @@ impl Stage {
             return Ok((RgbaImage::new(resolution.width, resolution.height), DrawStats::default()));
         }
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
-        let image = texture(gpu, "picture", resolution, FORMAT, usage)?;
+        let image = texture(gpu, "picture", resolution, self.format, usage)?;
         let stats = self.draw(gpu, &image.create_view(&wgpu::TextureViewDescriptor::default()), frame, overlay)?;
         Ok((read_back(gpu, &image, resolution)?, stats))
     }
@@ -144,6 +151,9 @@ fn read_back(gpu: &Gpu, image: &wgpu::Texture, resolution: Resolution) -> Result
     waited.map_err(|error| refused(error.to_string()))?;
     let bytes = buffer.slice(..).get_mapped_range().map_err(|error| refused(error.to_string()))?;
     let rows = bytes.chunks_exact(row as usize).take(height as usize);
-    let pixels = rows.flat_map(|row| &row[..4 * width as usize]).copied().collect();
+    let mut pixels: Vec<u8> = rows.flat_map(|row| &row[..4 * width as usize]).copied().collect();
+    if matches!(image.format(), wgpu::TextureFormat::Bgra8Unorm | wgpu::TextureFormat::Bgra8UnormSrgb) {
+        pixels.chunks_exact_mut(4).for_each(|pixel| pixel.swap(0, 2));
+    }
     Ok(RgbaImage::from_raw(width, height, pixels).expect("a row for each of the image's"))
 }

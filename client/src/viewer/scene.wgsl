@@ -64,7 +64,7 @@ fn lit(in: Fragment, base_color: vec4<f32>) -> vec4<f32> {
     let sky = 0.5 + 0.5 * normal.y;
     // A little light from the eye tells walls apart that neither sun nor sky reaches differently.
     let head = max(dot(normal, towards), 0.0);
-    let light = camera.sun.w * (0.55 + 0.45 * sky) + 0.45 * sun + 0.2 * head;
+    let light = camera.sun.w * (0.4 + 0.6 * sky) + 0.5 * sun + 0.12 * head + 0.08 * abs(normal.x);
     return vec4<f32>(base_color.rgb * light, base_color.a);
 }
 

@@ -1,18 +1,20 @@
 //! `eyeline-client shot`: one picture of a world, without a window.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
 use eyeline_visibility::{LoadOptions, Resolution, View};
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3, Vec2};
 
 use super::gpu::{AdapterChoice, Gpu};
+use super::inspect::{self, Inspector, Plan, Show, Stop};
 use super::model::Model;
-use super::overlay::{Overlay, OverlayPass};
+use super::overlay::Overlay;
 use super::picture::{FORMAT, Stage};
-use super::renderer::{Frame, Renderer};
+use super::renderer::Frame;
 use super::sight::{CullerKind, Sight};
 use crate::app::{number, point, print};
 
@@ -75,6 +77,30 @@ pub struct Shot {
     #[arg(long, value_name = "DEGREES", default_value_t = 90.0, value_parser = number(0.1..=179.0, "degrees"))]
     fov: f64,
 
+    /// What is drawn over the scene
+    #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',')]
+    overlay: Vec<Show>,
+
+    /// With cells or front: stop PLP's traversal after so many cells
+    #[arg(long, value_name = "COUNT")]
+    cells: Option<usize>,
+
+    /// With cells or front: PLP's budget, the most triangles that it may project
+    #[arg(long, value_name = "TRIANGLES")]
+    budget: Option<usize>,
+
+    /// With region: how far the eye may be from --eye, metres
+    #[arg(long, value_name = "METRES", default_value_t = 0.25, value_parser = number(0.0..=1e3, "m"))]
+    radius: f64,
+
+    /// Look at what was found for --eye from another place
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
+    from: Option<DVec3>,
+
+    /// The point that --from looks at [default: --eye]
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true, requires = "from")]
+    from_look: Option<DVec3>,
+
     /// The picture, a PNG
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -83,11 +109,14 @@ pub struct Shot {
 /// Shown by `shot --help`.
 pub const EXAMPLES: &str = "Examples:
   eyeline-client shot --world rooms.glb --eye 3,1.6,3 --look 9,1.5,3 --out room.png
-  eyeline-client shot --world map.glb --two-sided --eye 3,1.6,3 --look 9,1.5,3 --size 640x360 --out map.png";
+  eyeline-client shot --world map.glb --two-sided --eye 3,1.6,3 --look 9,1.5,3 --size 640x360 --out map.png
+  eyeline-client shot --world rooms.glb --eye 3,1.6,3 --look 9,1.5,3 --overlay front,inset --budget 2000 --out plp.png
+  eyeline-client shot --world rooms.glb --eye 3,1.6,3 --look 9,1.5,3 --overlay frustum --from 3,30,20 --out above.png";
 
 /// Width and height on the command line.
 pub fn resolution(text: &str) -> Result<Resolution, String> {
-    let parsed = text.split_once(['x', 'X']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    let parsed =
+        text.split_once(['x', 'X']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
     match parsed {
         Some((width @ 1..=16_384, height @ 1..=16_384)) => Ok(Resolution::new(width, height)),
         _ => Err("give width and height in pixels, each from 1 to 16384, as in 1280x720".to_owned()),
@@ -118,16 +147,15 @@ pub fn shot(options: &Shot) -> anyhow::Result<()> {
     };
     view.check()?;
     let gpu = Gpu::offscreen(options.scenery.adapter())?;
-    let renderer = Renderer::new(&gpu, &model, &[], FORMAT)?;
-    let overlays = OverlayPass::new(&gpu, &renderer, FORMAT)?;
-    let mut stage = Stage::new(renderer, overlays);
+    let mut stage = Stage::new(&gpu, &model, &[], FORMAT)?;
     let mut sight = Sight::new(options.scenery.culler, &model.scene);
     let began = Instant::now();
     let culled = sight.look(&view);
     let cull = began.elapsed();
-    let frame = Frame { view, visible: &culled.visible, moving: &[] };
+    let overlay = overlay(options, &model, &view, &culled.visible);
+    let frame = Frame { view: seen_from(options, &model, view)?, visible: &culled.visible, moving: &[] };
     let began = Instant::now();
-    let (picture, stats) = stage.picture(&gpu, &frame, &Overlay::default())?;
+    let (picture, stats) = stage.picture(&gpu, &frame, &overlay)?;
     let draw = began.elapsed();
     picture.save(&options.out).with_context(|| format!("cannot write {}", options.out.display()))?;
     print(&format!(
@@ -141,6 +169,54 @@ pub fn shot(options: &Shot) -> anyhow::Result<()> {
         draw.as_secs_f64() * 1e3,
     ));
     Ok(())
+}
+
+/// The view that the picture is taken from.
+fn seen_from(options: &Shot, model: &Model, view: View) -> anyhow::Result<View> {
+    let Some(from) = options.from else { return Ok(view) };
+    let look = options.from_look.unwrap_or(options.eye);
+    let orientation = looking_along(look - from).context("--from is where it looks at")?;
+    let seen_from = View { eye: from - model.scene.anchor(), orientation, ..view };
+    seen_from.check()?;
+    Ok(seen_from)
+}
+
+/// What is drawn over the scene for `view`.
+fn overlay(options: &Shot, model: &Model, view: &View, visible: &[u32]) -> Overlay {
+    let mut overlay = Overlay::default();
+    let shows = |show| options.overlay.contains(&show);
+    let mut inspector = Inspector::new(Arc::clone(&model.scene));
+    let stop = Stop { triangles: options.budget.unwrap_or(usize::MAX), cells: options.cells.unwrap_or(usize::MAX) };
+    let traversed = (shows(Show::Cells) || shows(Show::Front)).then(|| inspector.traverse(view, stop));
+    if let Some(traversed) = traversed.as_ref().filter(|_| shows(Show::Cells)) {
+        Inspector::show_cells(&mut overlay, traversed);
+    }
+    if let Some(traversed) = traversed.as_ref().filter(|_| shows(Show::Front)) {
+        Inspector::show_front(&mut overlay, traversed);
+    }
+    // Tiles lie in the image of the eye that was culled for.
+    if shows(Show::Tiles) && options.from.is_none() {
+        inspector.show_tiles(&mut overlay, view);
+    }
+    if shows(Show::Region) {
+        inspect::show_region(&mut overlay, view.eye, options.radius);
+    }
+    if shows(Show::Frustum) {
+        inspect::show_frustum(&mut overlay, view, 4.0);
+    }
+    let scale = f32::max(1.0, (view.resolution.height as f32 / 360.0).floor());
+    if shows(Show::Inset) {
+        let traversed = traversed.as_ref();
+        let plan = Plan { scene: &model.scene, visible, view, seen: &[], hidden: &[], traversed };
+        inspect::show_inset(&mut overlay, &plan, scale);
+    }
+    if shows(Show::Numbers) {
+        let total = model.scene.triangles().len();
+        let share = 100.0 * visible.len() as f64 / total.max(1) as f64;
+        let text = format!("{} of {total} triangles ({share:.1} %)", visible.len());
+        overlay.label(&text, Vec2::splat(4.0 * scale), scale, [1.0; 4]);
+    }
+    overlay
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Culled, Culler, CplpCuller, EyeRegion, FrustumBackface, MaskedCplp, RegionCuller, Scene, Scratch, View, ZBuffer,
+    CplpCuller, Culled, Culler, EyeRegion, FrustumBackface, MaskedCplp, RegionCuller, Scene, Scratch, View, ZBuffer,
 };
 
 /// A culler, by its name on the command line.

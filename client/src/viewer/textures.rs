@@ -49,7 +49,9 @@ pub fn upload(gpu: &Gpu, layout: &wgpu::BindGroupLayout, texture: &Texture) -> R
         entries: &[
             wgpu::BindGroupEntry {
                 binding: 0,
-                resource: wgpu::BindingResource::TextureView(&image.create_view(&wgpu::TextureViewDescriptor::default())),
+                resource: wgpu::BindingResource::TextureView(
+                    &image.create_view(&wgpu::TextureViewDescriptor::default()),
+                ),
             },
             wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&sampler) },
         ],

@@ -323,7 +323,8 @@ mod tests {
         let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(4);
         let mut walker = walker();
         for _ in 0..300 {
-            let velocity = DVec2::from_angle(rng.random_range(0.0..std::f64::consts::TAU)) * rng.random_range(0.0..12.0);
+            let velocity =
+                DVec2::from_angle(rng.random_range(0.0..std::f64::consts::TAU)) * rng.random_range(0.0..12.0);
             let seconds = rng.random_range(0.0..0.3);
             walker.walk(&ground, velocity, seconds);
             let DVec3 { x, y, z } = walker.feet;

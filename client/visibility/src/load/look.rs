@@ -109,7 +109,8 @@ impl Loader<'_> {
     /// How everything looks, once it has been checked and placed.
     pub(super) fn looks(&self, instances: &[Instance], folder: Option<&Path>) -> Result<Looks, LoadError> {
         let root = self.source.root;
-        let materials = (root.materials.iter().map(|material| self.material(material))).collect::<Result<Vec<_>, _>>()?;
+        let materials =
+            (root.materials.iter().map(|material| self.material(material))).collect::<Result<Vec<_>, _>>()?;
         let images = root.images.iter().enumerate().map(|(at, image)| encoded(root, &self.source, at, image, folder));
         let mut looks = Looks { materials, images: images.collect(), ..Looks::default() };
         looks.materials.push(Material { base_color: [1.0; 4], texture: None, alpha: Alpha::Opaque });
@@ -243,13 +244,7 @@ impl Loader<'_> {
     }
 }
 
-fn encoded(
-    root: &Root,
-    source: &super::Source<'_>,
-    at: usize,
-    image: &Image,
-    folder: Option<&Path>,
-) -> EncodedImage {
+fn encoded(root: &Root, source: &super::Source<'_>, at: usize, image: &Image, folder: Option<&Path>) -> EncodedImage {
     let name = image.name.clone().or_else(|| image.uri.clone().filter(|uri| !uri.starts_with("data:")));
     let bytes = match (&image.buffer_view, &image.uri) {
         (Some(view), _) => in_view(root, source.buffers, view.value()),
@@ -284,10 +279,7 @@ mod tests {
         let mut glb = Glb::triangle();
         let floats = |numbers: &[f32]| -> Vec<u8> { numbers.iter().flat_map(|number| number.to_le_bytes()).collect() };
         let uvs = glb.view(&floats(&[0.0, 0.0, 1.0, 0.0, 0.0, 1.0]));
-        let uvs = glb.push(
-            "accessors",
-            json!({"bufferView": uvs, "componentType": 5126, "type": "VEC2", "count": 3}),
-        );
+        let uvs = glb.push("accessors", json!({"bufferView": uvs, "componentType": 5126, "type": "VEC2", "count": 3}));
         let tilted = glb.positions(&[[0.0, 3.0, 4.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]);
         let colors = glb.view(&[255, 0, 0, 255, 0, 255, 0, 128, 0, 0, 255, 0]);
         let colors = glb.push(
@@ -295,7 +287,8 @@ mod tests {
             json!({"bufferView": colors, "componentType": 5121, "type": "VEC4", "count": 3, "normalized": true}),
         );
         let png = glb.view(b"PNG");
-        glb.json["images"] = json!([{"bufferView": png, "mimeType": "image/png", "name": "skin"}, {"uri": "beside.png"}]);
+        glb.json["images"] =
+            json!([{"bufferView": png, "mimeType": "image/png", "name": "skin"}, {"uri": "beside.png"}]);
         glb.json["samplers"] = json!([{"wrapS": 33071, "magFilter": 9728}]);
         glb.json["textures"] = json!([{"source": 0, "sampler": 0}]);
         glb.json["materials"] = json!([{
@@ -333,8 +326,7 @@ mod tests {
         let (_, looks) = load(&painted()).unwrap();
         let texture = TextureUse { image: 0, wrap: [Wrap::Clamp, Wrap::Repeat], is_nearest: true };
         // A factor above 1 is none.
-        let expected =
-            Material { base_color: [0.5, 0.25, 1.0, 1.0], texture: Some(texture), alpha: Alpha::Mask(0.25) };
+        let expected = Material { base_color: [0.5, 0.25, 1.0, 1.0], texture: Some(texture), alpha: Alpha::Mask(0.25) };
         assert_eq!(looks.materials[0], expected);
         assert_eq!(looks.images[0].name, "skin");
         assert_eq!(looks.images[0].bytes.as_deref(), Ok(&b"PNG"[..]));
@@ -351,7 +343,10 @@ mod tests {
             assert!(error.contains(word) && error.contains("test.glb"), "{error}");
         };
         refused(&|glb| glb.json["accessors"][1]["count"] = json!(2), "3 vertices");
-        refused(&|glb| glb.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["index"] = json!(7), "texture");
+        refused(
+            &|glb| glb.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["index"] = json!(7),
+            "texture",
+        );
         refused(&|glb| glb.json["textures"][0]["source"] = json!(7), "image");
         refused(&|glb| glb.json["meshes"][1]["primitives"][0]["attributes"]["NORMAL"] = json!(99), "accessor");
     }
