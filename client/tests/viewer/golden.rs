@@ -29,7 +29,7 @@ fn differing_share(a: &RgbaImage, b: &RgbaImage) -> f64 {
 }
 
 #[track_caller]
-fn check(name: &str, picture: &RgbaImage) {
+pub fn check(name: &str, picture: &RgbaImage) {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(format!("{name}.png"));
     if std::env::var_os("EYELINE_BLESS").is_some_and(|value| value == "1") {
         picture.save(&path).unwrap();

@@ -4,6 +4,7 @@
 mod golden;
 mod made;
 mod visible;
+mod window;
 
 use std::io::Write as _;
 use std::path::PathBuf;
