@@ -3,11 +3,12 @@
 //! Nothing here decides what is drawn. Traversals are made again for the picture, from the view that is looked at, so that they can
 //! be stopped after any number of cells; the culler that decides knows nothing of it.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, Bound, Cplp, CplpQueryCuller, Culler, EyeRegion, Octree, OctreeRules, Plp, PlpCells, PlpRules, PlpScratch,
-    QueryBackEnd as _, QueryKind, Scene, Scratch, Tessellation, View, image_ray,
+    Aabb, Bound, Budget, Cplp, CplpScratch, CpuQuery, Octree, OctreeRules, PixelRect, Plp, PlpCells, PlpRules,
+    PlpScratch, QueryBackEnd as _, QueryKind, Scene, Tessellation, View, image_ray,
 };
 use glam::{DVec3, Vec2, Vec3Swizzles as _};
 
@@ -21,7 +22,7 @@ pub enum Show {
     Cells,
     /// Projected cells in red wire and the front in green (PLP, figure 1)
     Front,
-    /// Tiles of cPLP's item buffer that were finished (cPLP, figure 10)
+    /// Tiles of cPLP's item buffer, by the round that finished them: blue first, yellow last (cPLP, figure 10)
     Tiles,
     /// Bounds of hidden objects; the redder, the sooner they expire
     Hidden,
@@ -71,8 +72,9 @@ struct Cells {
     octree: Arc<Octree>,
     plp: Plp,
     scratch: PlpScratch,
-    tiles: CplpQueryCuller,
-    tiles_scratch: Scratch,
+    cplp: Cplp,
+    tiles: CpuQuery,
+    tiles_scratch: CplpScratch,
 }
 
 /// A traversal to look at: cells and their solidity.
@@ -97,9 +99,9 @@ impl Inspector {
             let boxes: Arc<dyn Tessellation> = octree.clone();
             // The paper's rules: their solidity is what its figures show.
             let plp = Plp::new(Arc::clone(scene), PlpCells::Boxes(Arc::clone(&boxes)), PlpRules::paper());
-            let cplp = Arc::new(Cplp::new(boxes));
-            let tiles = CplpQueryCuller::new(Arc::clone(scene), cplp, Default::default(), QueryKind::ItemBufferTiled);
-            Cells { octree, plp, scratch: PlpScratch::default(), tiles, tiles_scratch: Scratch::default() }
+            let (cplp, tiles) = (Cplp::new(boxes), QueryKind::ItemBufferTiled.back_end());
+            let (scratch, tiles_scratch) = (PlpScratch::default(), CplpScratch::default());
+            Cells { octree, plp, scratch, cplp, tiles, tiles_scratch }
         })
     }
 
@@ -133,15 +135,22 @@ impl Inspector {
         traversed.front.iter().for_each(|(aabb, _)| overlay.wire_box(aabb, GREEN, true));
     }
 
-    /// Draws which tiles of the image cPLP's queries have finished.
+    /// Draws in which round cPLP's queries finished each tile of the image: blue ones first, yellow ones last.
     pub fn show_tiles(&mut self, overlay: &mut Overlay, view: &View) {
-        let Cells { tiles, tiles_scratch, .. } = self.cells();
-        tiles.cull(view, EyeRegion::point(view.eye), tiles_scratch);
-        let Some(query) = tiles_scratch.query() else { return };
-        for tile in query.finished_tiles() {
+        let scene = Arc::clone(&self.scene);
+        let Cells { cplp, tiles, tiles_scratch, .. } = self.cells();
+        let mut finished: BTreeMap<[u32; 2], (PixelRect, usize)> = BTreeMap::new();
+        cplp.watch_rounds(&scene, view, Budget::default(), tiles, tiles_scratch, |round, back_end| {
+            for tile in back_end.finished_tiles() {
+                finished.entry([tile.x[0], tile.y[0]]).or_insert((tile, round.number));
+            }
+        });
+        let most = finished.values().map(|(_, round)| *round).max().unwrap_or(1);
+        for (tile, round) in finished.values() {
             let min = Vec2::new(tile.x[0] as f32, tile.y[0] as f32) + 1.0;
             let max = Vec2::new(tile.x[1] as f32, tile.y[1] as f32) - 1.0;
-            overlay.rectangle(min, max, [0.1, 0.3, 1.0, 0.25]);
+            let late = (*round as f32 - 1.0) / (most as f32 - 1.0).max(1.0);
+            overlay.rectangle(min, max, [late, 0.25 + 0.4 * late, 1.0 - late, 0.3]);
         }
     }
 }

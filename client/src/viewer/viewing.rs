@@ -9,6 +9,7 @@ use eyeline_protocol::{ObjectId, Welcome};
 use eyeline_visibility::{Resolution, View};
 use glam::{DQuat, DVec3, Vec2};
 
+use super::font;
 use super::inspect::{self, Inspector, Plan, Show, Stop};
 use super::model::{Mesh, Model, capsule};
 use super::online::{News, Online, Seen};
@@ -271,7 +272,9 @@ impl Viewing {
             let top = class.map_or(2.0, |class| class.extent.top);
             let Some(at) = pixel(view, shown.position + DVec3::Y * (top + 0.15)) else { continue };
             let name: String = named.name.chars().filter(|letter| !letter.is_control()).take(24).collect();
-            let half = super::font::size(&name) * scale * 0.5;
+            // People before things, which are many.
+            let scale = if named.node.is_empty() { scale } else { (scale * 0.5).floor().max(1.0) };
+            let half = font::size(&name) * scale * 0.5;
             overlay.label(&name, (at - half).floor(), scale, [1.0; 4]);
         }
     }
