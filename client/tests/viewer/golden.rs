@@ -21,13 +21,15 @@ use crate::{gpu_or_skip, made};
 const SHARE_MAX: f64 = 0.005;
 const CHANNEL_MAX: u8 = 12;
 
-fn differing_share(a: &RgbaImage, b: &RgbaImage) -> f64 {
+/// Share of the pixels that differ by more than [`CHANNEL_MAX`].
+pub fn differing_share(a: &RgbaImage, b: &RgbaImage) -> f64 {
     assert_eq!(a.dimensions(), b.dimensions());
     let differs =
         |(a, b): &(&image::Rgba<u8>, &image::Rgba<u8>)| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > CHANNEL_MAX);
     a.pixels().zip(b.pixels()).filter(differs).count() as f64 / f64::from(a.width() * a.height())
 }
 
+/// Compares a picture with the one that is kept.
 #[track_caller]
 pub fn check(name: &str, picture: &RgbaImage) {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(format!("{name}.png"));

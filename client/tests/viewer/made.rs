@@ -91,7 +91,7 @@ pub fn two_rooms(hidden: usize) -> Vec<u8> {
     writer.node("lintel", 1, &faces([0.0, 2.1, 0.0], [wall, 3.0, 1.0]));
     writer.node("crate", 2, &faces([1.5, 0.0, 0.2], [2.1, 0.6, 0.8]));
     writer.node("grating", 3, &[[[-2.0, 0.0, -0.5], [-1.0, 0.0, -0.5], [-1.0, 1.0, -0.5], [-2.0, 1.0, -0.5]]]);
-    writer.node("glass", 4, &[[[-1.5, 0.0, 0.5], [-0.7, 0.0, 0.5], [-0.7, 1.6, 0.5], [-1.5, 1.6, 0.5]]]);
+    writer.node("glass", 4, &[[[-1.5, 0.0, 1.3], [-0.7, 0.0, 1.3], [-0.7, 1.6, 1.3], [-1.5, 1.6, 1.3]]]);
     let side = (hidden as f32).cbrt().ceil().max(1.0);
     for number in 0..hidden {
         let [x, y, z] =

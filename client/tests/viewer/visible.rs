@@ -60,6 +60,22 @@ fn made_rooms_look_the_same() {
     compare("made_rooms_look_the_same", &model, &cullers, &eyes);
 }
 
+/// That the comparison can fail: without some of what is visible the picture is another.
+#[test]
+fn what_is_left_out_is_missed() {
+    let Some(gpu) = gpu_or_skip("what_is_left_out_is_missed") else { return };
+    let model = Model::load_glb(&made::two_rooms(8), "two rooms", &LoadOptions::default()).unwrap();
+    let mut stage = stage(&gpu, &model);
+    let view = View::level(DVec3::new(-3.0, 1.6, 1.8), 0.3, 1.4, Resolution::new(240, 135));
+    let mut sight = Sight::new(CullerKind::Masked, &model.scene);
+    let visible = sight.look(&view).visible.clone();
+    let some: Vec<u32> = visible.iter().copied().filter(|id| id % 2 == 0).collect();
+    let mut picture =
+        |visible: &[u32]| stage.picture(&gpu, &Frame { view, visible, moving: &[] }, &Overlay::default()).unwrap().0;
+    assert!(some.len() < visible.len());
+    assert!(picture(&visible) != picture(&some), "half of each wall is nowhere to be seen");
+}
+
 #[test]
 fn oa_dm2_looks_the_same() {
     given("oa_dm2_looks_the_same", "oa_dm2", &[CullerKind::Masked, CullerKind::Region]);
