@@ -194,7 +194,7 @@ fn textures(
     let white = Texture { width: 1, height: 1, rgba: Arc::new(vec![255; 4]), use_: None };
     let mut textures = vec![white];
     let mut texture_of = BTreeMap::new();
-    let mut decoded: BTreeMap<usize, Option<(u32, u32, Arc<Vec<u8>>)>> = BTreeMap::new();
+    let mut decoded: BTreeMap<usize, Option<Pixels>> = BTreeMap::new();
     let mut total = 0;
     for use_ in looks.materials.iter().filter_map(|material| material.texture) {
         if texture_of.contains_key(&key(use_)) {
@@ -223,12 +223,11 @@ fn textures(
     Ok((textures, texture_of))
 }
 
+/// Width, height, and sRGB with opacity.
+type Pixels = (u32, u32, Arc<Vec<u8>>);
+
 /// The image's pixels; `None`, and a warning, if it is no image. Too large a one is an error, since it says what to do.
-fn decode(
-    image: &EncodedImage,
-    file: &str,
-    warnings: &mut Vec<String>,
-) -> Result<Option<(u32, u32, Arc<Vec<u8>>)>, ModelError> {
+fn decode(image: &EncodedImage, file: &str, warnings: &mut Vec<String>) -> Result<Option<Pixels>, ModelError> {
     let mut warn = |reason: String| {
         warnings.push(format!("{file}: texture '{}' is left out: {reason}", image.name.escape_debug()));
         Ok(None)
@@ -293,4 +292,54 @@ pub fn capsule(radius: f64, bottom: f64, top: f64) -> Mesh {
     let kind = Kind { texture: 0, is_two_sided: false, is_blended: false };
     mesh.kinds = vec![kind; mesh.vertices.len() / 3];
     mesh
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn png(width: u32, height: u32) -> EncodedImage {
+        let mut bytes = Cursor::new(Vec::new());
+        image::RgbaImage::new(width, height).write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        EncodedImage { name: "skin".into(), bytes: Ok(bytes.into_inner()) }
+    }
+
+    #[test]
+    fn a_texture_that_is_too_large_says_so_and_one_that_is_none_is_left_out() {
+        let mut warnings = Vec::new();
+        let found = decode(&png(3, 2), "w.glb", &mut warnings).unwrap().unwrap();
+        assert_eq!((found.0, found.1, found.2.len()), (3, 2, 24));
+        assert_eq!(warnings, [""; 0]);
+        let error = decode(&png(TEXTURE_SIDE_MAX + 1, 1), "w.glb", &mut warnings).unwrap_err().to_string();
+        assert!(error.contains("w.glb") && error.contains("skin") && error.contains("8193x1"), "{error}");
+        let mut cut_off = png(300, 200);
+        cut_off.bytes.as_mut().unwrap().truncate(60);
+        let empty = EncodedImage { name: "none".into(), bytes: Ok(Vec::new()) };
+        let missing = EncodedImage { name: "far".into(), bytes: Err("lies in another file".into()) };
+        for image in [&cut_off, &empty, &missing] {
+            assert_eq!(decode(image, "w.glb", &mut warnings).unwrap(), None);
+        }
+        assert_eq!(warnings.len(), 3);
+        assert!(warnings[2].contains("far") && warnings[2].contains("lies in another file"), "{}", warnings[2]);
+    }
+
+    #[test]
+    fn a_capsule_is_closed_and_of_its_size() {
+        let mesh = capsule(0.3, -0.1, 1.7);
+        let places = || mesh.vertices.iter().map(|vertex| Vec3::from(vertex.position));
+        let (low, high) =
+            places().fold((f32::INFINITY, -f32::INFINITY), |(low, high), p| (low.min(p.y), high.max(p.y)));
+        assert!((low + 0.1).abs() < 1e-6 && (high - 1.7).abs() < 1e-6);
+        assert!(places().all(|p| p.x.hypot(p.z) <= 0.3 + 1e-6));
+        // The volume within, which is right only if all faces look outwards.
+        let corners: Vec<_> = places().collect();
+        let volume: f32 = corners.chunks(3).map(|c| c[0].cross(c[1]).dot(c[2]) / 6.0).sum();
+        let exact = std::f32::consts::PI * 0.3f32.powi(2) * (1.2 + 4.0 / 3.0 * 0.3);
+        assert!((volume / exact - 1.0).abs() < 0.06, "{volume} {exact}");
+        assert_eq!(mesh.kinds.len() * 3, mesh.vertices.len());
+        // Bad measures make some body all the same.
+        assert!(
+            capsule(f64::NAN, 0.0, 0.0).vertices.iter().all(|vertex| vertex.position.iter().all(|x| x.is_finite()))
+        );
+    }
 }

@@ -47,8 +47,11 @@ const TURN_BY_MOUSE: f64 = 0.0025;
 /// # Errors
 /// If there is no screen or no adapter, or the device or the connection is lost.
 pub fn run(viewing: Viewing, options: WindowOptions) -> anyhow::Result<()> {
-    let events = EventLoop::new()
-        .map_err(|error| anyhow::anyhow!("no window can be opened: {error}; `shot` makes pictures without one"))?;
+    let events = EventLoop::new().map_err(|error| {
+        // Its words name places in its source, which help nobody here.
+        tracing::debug!("{error}");
+        anyhow::anyhow!("no window can be opened: no X11 screen answers (DISPLAY); `shot` makes pictures without one")
+    })?;
     events.set_control_flow(ControlFlow::Poll);
     let began = Instant::now();
     let mut app = App {

@@ -3,6 +3,9 @@
 //! Needs Xvfb and xdotool. Who walks does not arrive at the same place twice, but who walks against something does: so the walk ends
 //! at a crate. The whole test may take 90 s, most of which is waiting on a busy machine.
 
+// It drives programs, and waits for them.
+#![expect(clippy::disallowed_methods)]
+
 use std::io::{BufRead as _, BufReader};
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
