@@ -25,6 +25,14 @@ pub enum Command {
     /// Keep order on a server: see who is there, send somebody away, tell everybody something
     #[command(after_long_help = crate::operate::EXAMPLES)]
     Operate(crate::operate::Operate),
+    /// Make a picture of a world, without a window
+    #[cfg(feature = "viewer")]
+    #[command(after_long_help = crate::viewer::shot::EXAMPLES)]
+    Shot(Box<crate::viewer::shot::Shot>),
+    /// Look at a world in a window, with a server or without
+    #[cfg(feature = "viewer")]
+    #[command(after_long_help = crate::viewer::view::EXAMPLES)]
+    View(Box<crate::viewer::view::ViewOptions>),
 }
 
 /// Where the model comes from.
@@ -206,7 +214,7 @@ impl Second {
 }
 
 /// A point on the command line.
-fn point(text: &str) -> Result<DVec3, String> {
+pub(crate) fn point(text: &str) -> Result<DVec3, String> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
     match numbers.as_deref() {
         Some(&[x, y, z]) if x.is_finite() && y.is_finite() && z.is_finite() => Ok(DVec3::new(x, y, z)),

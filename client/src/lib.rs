@@ -48,4 +48,6 @@ pub mod session;
 #[cfg(feature = "net")]
 mod target;
 pub mod tracking;
+#[cfg(feature = "viewer")]
+pub mod viewer;
 pub mod world;

@@ -30,6 +30,10 @@ fn main() -> ExitCode {
     let ran = match options.command {
         Command::Headless(options) => app::headless(&options),
         Command::Operate(options) => operate::operate(&options),
+        #[cfg(feature = "viewer")]
+        Command::Shot(options) => eyeline_client::viewer::shot::shot(&options),
+        #[cfg(feature = "viewer")]
+        Command::View(options) => eyeline_client::viewer::view::view(&options),
     };
     match ran {
         Ok(()) => ExitCode::SUCCESS,

@@ -11,8 +11,11 @@ use eyeline_protocol::{
 };
 use eyeline_visibility::{DynamicIndex, Occlusion};
 
+mod names;
 mod watch;
 
+pub use names::Named;
+use names::Names;
 use watch::Watch;
 
 use crate::clock::{Clock, DRIFT, Monotonic};
@@ -34,6 +37,8 @@ pub struct SessionConfig {
     pub token: Vec<u8>,
     /// Whether there are [`Event::Revealed`], `Hidden`, `Stopped` and `Left`; default false. Who sets it must poll them.
     pub watch: bool,
+    /// Whether names, classes and nodes of objects are kept for [`Session::named`]. Default no: a swarm has no use for them.
+    pub names: bool,
     /// The tracker's settings.
     pub tracker: TrackerConfig,
     /// Whether [`Session::take_states_received`] has something to take; default false. Who sets it must take.
@@ -49,6 +54,7 @@ impl Default for SessionConfig {
             name: String::new(),
             token: Vec::new(),
             watch: false,
+            names: false,
             tracker: TrackerConfig::default(),
             record_states: false,
         }
@@ -84,6 +90,11 @@ impl SessionConfig {
     /// Asks for events of what comes into view, stops, and goes.
     pub fn with_watch(self) -> SessionConfig {
         SessionConfig { watch: true, ..self }
+    }
+
+    /// Keeps what the roster says of objects, for [`Session::named`].
+    pub fn with_names(self) -> SessionConfig {
+        SessionConfig { names: true, ..self }
     }
 
     /// Keeps which states arrive, for [`Session::take_states_received`].
@@ -224,6 +235,7 @@ pub struct Session {
     /// Messages of roster and leaving since everything was told.
     heard: u32,
     watch: Watch,
+    names: Names,
     /// Our own eye, where it is not our avatar's, until it is said.
     eye_due: Option<(Position, Orientation)>,
     poses: BTreeMap<ObjectId, (Position, Orientation)>,
@@ -260,6 +272,7 @@ impl Session {
             moving_nodes: BTreeSet::new(),
             heard: 0,
             watch: Watch::default(),
+            names: Names::default(),
             eye_due: None,
             poses: BTreeMap::new(),
             poses_due: VecDeque::new(),
@@ -331,6 +344,9 @@ impl Session {
                     let nodes = entries.iter().filter(|entry| !entry.node.is_empty());
                     self.moving_nodes.extend(nodes.map(|entry| entry.node.clone()));
                 }
+                if self.config.names {
+                    entries.iter().for_each(|entry| self.names.hear(entry));
+                }
                 if let Some(tracker) = &mut self.tracker {
                     // Everybody is told of everybody who comes, us included.
                     let own = self.welcome.as_ref().map_or(&[][..], |welcome| &welcome.avatars);
@@ -342,6 +358,7 @@ impl Session {
             Ok(ServerControl::Left { objects }) => {
                 self.heard = self.heard.saturating_add(1);
                 let own = self.welcome.as_ref().map_or(&[][..], |welcome| &welcome.avatars);
+                objects.iter().for_each(|object| self.names.leave(*object));
                 if let Some(tracker) = &mut self.tracker {
                     for object in objects {
                         tracker.handle_left(object);
@@ -667,6 +684,16 @@ impl Session {
     /// Beliefs, once the server has let us in.
     pub fn tracker(&self) -> Option<&Tracker> {
         self.tracker.as_ref()
+    }
+
+    /// What an object is, if names are kept ([`SessionConfig::names`]) and it is in the roster.
+    pub fn named(&self, object: ObjectId) -> Option<&Named> {
+        self.names.of(object)
+    }
+
+    /// Every object in the roster, by id, if names are kept.
+    pub fn roster(&self) -> impl Iterator<Item = (ObjectId, &Named)> {
+        self.names.all()
     }
 
     /// Objects whose states arrived since the last call, in order of arrival, if the configuration has them kept.

@@ -14,7 +14,7 @@ use crate::net::{Endpoint, Fingerprint, Trust};
 #[derive(Args, Clone, Debug)]
 pub struct Target {
     /// Address of the server, HOST:PORT
-    #[arg(long, value_name = "HOST:PORT", required_unless_present = "server_file", requires = "trust")]
+    #[arg(long, value_name = "HOST:PORT", requires = "trust")]
     pub connect: Option<String>,
 
     /// SHA-256 of the server's certificate, 64 hexadecimal digits: the server prints it when it starts
@@ -71,6 +71,11 @@ const SERVER_FILE_WAIT: Duration = Duration::from_secs(30);
 const SERVER_FILE_LOOK: Duration = Duration::from_millis(20);
 
 impl Target {
+    /// Whether a server is named at all. Not all commands need one, so the options do not ask for it; [`Target::resolve`] does.
+    pub fn is_given(&self) -> bool {
+        self.connect.is_some() || self.server_file.is_some()
+    }
+
     /// The server's address and how it is trusted; waits for the server's file.
     ///
     /// # Errors
@@ -183,6 +188,14 @@ mod tests {
         ] {
             assert!(target(bad).is_err(), "{bad:?}");
         }
+    }
+
+    #[test]
+    fn no_server_is_an_error_where_one_is_needed() {
+        let none = target(&[]).unwrap();
+        assert!(!none.is_given());
+        assert!(none.resolve().unwrap_err().to_string().contains("give --connect"));
+        assert!(target(&["--server-file", "a"]).unwrap().is_given());
     }
 
     #[test]

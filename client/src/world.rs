@@ -33,13 +33,26 @@ pub enum WorldError {
 /// # Errors
 /// Names the file and what is wrong with it.
 pub fn load(bytes: &[u8], name: &str, welcome: &Welcome, moving_nodes: &BTreeSet<String>) -> Result<Scene, WorldError> {
-    let options = LoadOptions::default().with_moving_nodes(moving_nodes).with_two_sided(welcome.world.two_sided);
-    let scene = load_glb(bytes, name, &options)?;
+    let scene = load_glb(bytes, name, &options(welcome, moving_nodes))?;
+    check_anchor(&scene, name, welcome)?;
+    Ok(scene)
+}
+
+/// How to load a server's model.
+pub fn options(welcome: &Welcome, moving_nodes: &BTreeSet<String>) -> LoadOptions {
+    LoadOptions::default().with_moving_nodes(moving_nodes).with_two_sided(welcome.world.two_sided)
+}
+
+/// Refuses a scene whose positions would not fit what the server says.
+///
+/// # Errors
+/// Names the file and both anchors.
+pub fn check_anchor(scene: &Scene, name: &str, welcome: &Welcome) -> Result<(), WorldError> {
     let told = DVec3::from_array(welcome.anchor);
     if scene.anchor() != told {
         return Err(WorldError::Anchor { file: name.to_owned(), found: scene.anchor(), told });
     }
-    Ok(scene)
+    Ok(())
 }
 
 #[cfg(test)]

@@ -22,7 +22,7 @@ pub use headless::{Driver, FrameReport, Pose, Summary, run_headless};
 pub use onlooker::{OnFrame, Onlooker};
 pub use pin::{Fingerprint, FingerprintError};
 use quinn::crypto::rustls::QuicClientConfig;
-pub use scene::{ModelSource, SceneError};
+pub use scene::{ModelSource, SceneError, ServedModel};
 pub use trust::{Trust, TrustError};
 
 use crate::session::{Event, Session};

@@ -1,8 +1,10 @@
 //! How a connected client comes to its scene: from a file, from a cache of models by their hash, or from the server.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use eyeline_protocol::Welcome;
 use eyeline_visibility::{DynamicOctree, LoadError, Scene, pack_glb};
 
 use super::{Connection, NetError};
@@ -49,16 +51,30 @@ pub enum SceneError {
     },
 }
 
+/// A model as the server serves it, not loaded yet.
+#[derive(Clone, Debug)]
+pub struct ServedModel {
+    /// A .glb.
+    pub bytes: Vec<u8>,
+    /// What stands for the file in errors.
+    pub name: String,
+    /// What the server said of it.
+    pub welcome: Welcome,
+    /// Nodes that move.
+    pub moving_nodes: BTreeSet<String>,
+}
+
 impl Connection {
-    /// The scene that the server's world is, and T made as large as it.
+    /// The model that the server's world is, from wherever it can be had.
     ///
     /// # Errors
-    /// If the model can't be had or is not the server's, or the connection is lost meanwhile.
-    pub async fn scene(&mut self, source: &ModelSource) -> Result<Arc<Scene>, SceneError> {
+    /// If it can't be had or is not the server's, or the connection is lost meanwhile.
+    pub async fn model(&mut self, source: &ModelSource) -> Result<ServedModel, SceneError> {
         while self.session.moving_nodes().is_none() {
             self.wait_control().await?;
         }
-        let (Some(welcome), Some(nodes)) = (self.session.welcome().cloned(), self.session.moving_nodes().cloned())
+        let (Some(welcome), Some(moving_nodes)) =
+            (self.session.welcome().cloned(), self.session.moving_nodes().cloned())
         else {
             return Err(NetError::Lost("no welcome yet".into()).into());
         };
@@ -87,8 +103,17 @@ impl Connection {
                 (bytes, path.display().to_string())
             }
         };
+        Ok(ServedModel { bytes, name, welcome, moving_nodes })
+    }
+
+    /// The scene that the server's world is, and T made as large as it.
+    ///
+    /// # Errors
+    /// If the model can't be had or is not the server's, or the connection is lost meanwhile.
+    pub async fn scene(&mut self, source: &ModelSource) -> Result<Arc<Scene>, SceneError> {
+        let ServedModel { bytes, name, welcome, moving_nodes } = self.model(source).await?;
         // Off this thread, which has the connection to keep alive.
-        let load = move || world::load(&bytes, &name, &welcome, &nodes);
+        let load = move || world::load(&bytes, &name, &welcome, &moving_nodes);
         let loaded = tokio::task::spawn_blocking(load).await;
         let scene = loaded.map_err(|error| NetError::Lost(format!("loading the scene failed: {error}")))??;
         self.session.use_index(Box::new(DynamicOctree::new(scene.bounds())));

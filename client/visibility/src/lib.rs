@@ -67,7 +67,8 @@ pub use hierarchical_z::HierarchicalZ;
 pub use kd_tree::{KdRules, KdStats, KdTree};
 pub use large_occluder::{LargeOccluder, LargeOccluderRules, LargeOccluderScratch, LargeOccluderStats};
 pub use load::{
-    LoadError, LoadOptions, LoadStats, load_file, load_file_with_stats, load_glb, load_glb_with_stats, pack_glb,
+    Alpha, EncodedImage, LoadError, LoadOptions, LoadStats, Looks, Material, TextureUse, TriangleLook, Wrap, load_file,
+    load_file_with_looks, load_file_with_stats, load_glb, load_glb_with_looks, load_glb_with_stats, pack_glb,
 };
 pub use masked::{Coverage, MaskedDepth, MaskedStats, SimdLevel};
 pub use masked_cplp::{MaskedCplp, MaskedCplpScratch};

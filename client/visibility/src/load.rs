@@ -10,6 +10,7 @@
 mod accessor;
 mod buffers;
 mod error;
+mod look;
 mod pack;
 mod reach;
 #[cfg(test)]
@@ -35,7 +36,11 @@ use self::{
     buffers::Bytes,
     reach::Reach,
 };
-pub use self::{error::LoadError, pack::pack_glb};
+pub use self::{
+    error::LoadError,
+    look::{Alpha, EncodedImage, Looks, Material, TextureUse, TriangleLook, Wrap},
+    pack::pack_glb,
+};
 use crate::{Aabb, Node, ObjectMesh, Scene, Sides, Triangle};
 
 /// How to read a file.
@@ -108,11 +113,7 @@ pub fn load_glb_with_stats(
     source_name: &str,
     options: &LoadOptions,
 ) -> Result<(Scene, LoadStats), LoadError> {
-    if !bytes.starts_with(b"glTF") {
-        return Err(LoadError::NotGltf { file: source_name.into(), found: bytes.iter().copied().take(8).collect() });
-    }
-    let (description, binary) = split_glb(bytes, source_name)?;
-    load(description, binary, source_name, None, options)
+    read_glb(bytes, source_name, options, false).map(|loaded| (loaded.scene, loaded.stats))
 }
 
 /// Loads a `.glb` file, or a `.gltf` file with its buffers in it or in its folder.
@@ -122,20 +123,53 @@ pub fn load_file(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Scene,
 
 /// [`load_file`], also saying what was met.
 pub fn load_file_with_stats(path: impl AsRef<Path>, options: &LoadOptions) -> Result<(Scene, LoadStats), LoadError> {
-    let path = path.as_ref();
+    read_file(path.as_ref(), options, false).map(|loaded| (loaded.scene, loaded.stats))
+}
+
+/// [`load_file`], also saying how its triangles look.
+pub fn load_file_with_looks(path: impl AsRef<Path>, options: &LoadOptions) -> Result<(Scene, Looks), LoadError> {
+    read_file(path.as_ref(), options, true).map(|loaded| (loaded.scene, loaded.looks))
+}
+
+/// [`load_glb`], also saying how its triangles look.
+pub fn load_glb_with_looks(
+    bytes: &[u8],
+    source_name: &str,
+    options: &LoadOptions,
+) -> Result<(Scene, Looks), LoadError> {
+    read_glb(bytes, source_name, options, true).map(|loaded| (loaded.scene, loaded.looks))
+}
+
+fn read_glb(bytes: &[u8], source_name: &str, options: &LoadOptions, looks: bool) -> Result<Loaded, LoadError> {
+    if !bytes.starts_with(b"glTF") {
+        return Err(LoadError::NotGltf { file: source_name.into(), found: bytes.iter().copied().take(8).collect() });
+    }
+    let (description, binary) = split_glb(bytes, source_name)?;
+    load(description, binary, source_name, None, options, looks)
+}
+
+fn read_file(path: &Path, options: &LoadOptions, looks: bool) -> Result<Loaded, LoadError> {
     let file = path.display().to_string();
     let bytes = fs::read(path).map_err(|source| LoadError::Read { file: file.clone(), source })?;
     // The parent of a bare file name is the empty path, which `canonicalize` refuses.
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if bytes.starts_with(b"glTF") {
         let (description, binary) = split_glb(&bytes, &file)?;
-        return load(description, binary, &file, Some(folder), options);
+        return load(description, binary, &file, Some(folder), options, looks);
     }
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     if text.trim_ascii_start().first() != Some(&b'{') {
         return Err(LoadError::NotGltf { file, found: bytes.iter().copied().take(8).collect() });
     }
-    load(text, None, &file, Some(folder), options)
+    load(text, None, &file, Some(folder), options, looks)
+}
+
+/// All that comes of a file.
+struct Loaded {
+    scene: Scene,
+    stats: LoadStats,
+    /// Empty unless asked for.
+    looks: Looks,
 }
 
 /// The JSON and binary chunks of a .glb file.
@@ -168,7 +202,8 @@ fn load(
     file: &str,
     folder: Option<&Path>,
     options: &LoadOptions,
-) -> Result<(Scene, LoadStats), LoadError> {
+    with_looks: bool,
+) -> Result<Loaded, LoadError> {
     let unreadable = |source| LoadError::Json { file: file.into(), source };
     let root: Root = json::deserialize::from_slice(description).map_err(unreadable)?;
     if let Some(extension) = root.extensions_required.iter().find(|name| !is_known_extension(name)) {
@@ -181,8 +216,9 @@ fn load(
     let instances = loader.instances()?;
     let (anchor, triangles) = loader.anchor(&instances)?;
     let reaches = loader.reaches(&instances)?;
+    let looks = if with_looks { loader.looks(&instances, folder)? } else { Looks::default() };
     let scene = loader.build(&instances, &reaches, anchor, triangles);
-    Ok((scene, loader.stats))
+    Ok(Loaded { scene, stats: loader.stats, looks })
 }
 
 /// Materials that light passes through although their alpha mode is OPAQUE. The crate `gltf` does not tell, so the
@@ -238,6 +274,16 @@ struct Instance {
     mesh: Option<usize>,
     /// The node whose [`ObjectMesh`] this is part of, if it moves.
     mover: Option<usize>,
+}
+
+impl Instance {
+    /// Whether it turns triangles round.
+    fn is_mirrored(&self) -> bool {
+        let axes = [self.world_from_local.x_axis, self.world_from_local.y_axis, self.world_from_local.z_axis];
+        // Of the directions alone, since the cube of a tiny scale would vanish.
+        let [x, y, z] = axes.map(|axis| axis.truncate().normalize_or_zero());
+        x.cross(y).dot(z) < 0.0
+    }
 }
 
 impl<'a> Loader<'a> {
@@ -583,10 +629,7 @@ impl<'a> Loader<'a> {
     /// Corners in the file's space, anticlockwise seen from the front: a mirror would turn them round.
     fn world_corners(&self, instance: &Instance) -> impl Iterator<Item = [DVec3; 3]> {
         let world_from_local = instance.world_from_local;
-        let [x, y, z] =
-            [world_from_local.x_axis, world_from_local.y_axis, world_from_local.z_axis].map(|a| a.truncate());
-        // Of the directions alone, since the cube of a tiny scale would vanish.
-        let mirrored = x.normalize_or_zero().cross(y.normalize_or_zero()).dot(z.normalize_or_zero()) < 0.0;
+        let mirrored = instance.is_mirrored();
         self.primitives(instance).flat_map(move |primitive| {
             primitive.corners().map(move |[a, b, c]| {
                 let corners = if mirrored { [a, c, b] } else { [a, b, c] };

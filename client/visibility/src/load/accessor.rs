@@ -183,7 +183,7 @@ impl<'a> Source<'a> {
     }
 }
 
-fn slice(bytes: &[u8], start: u64, length: u64) -> Option<&[u8]> {
+pub(super) fn slice(bytes: &[u8], start: u64, length: u64) -> Option<&[u8]> {
     let end = usize::try_from(start.checked_add(length)?).ok()?;
     bytes.get(start as usize..end)
 }

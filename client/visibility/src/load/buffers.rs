@@ -53,6 +53,16 @@ pub(super) fn resolve<'a>(
     Ok(buffers)
 }
 
+/// The bytes that a URI stands for: its own, or those of a file in `folder`.
+pub(super) fn file_or_data(uri: &str, folder: Option<&Path>) -> Result<Vec<u8>, String> {
+    if uri.starts_with("data:") {
+        return decode_data_uri(uri);
+    }
+    let folder = folder.ok_or_else(|| format!("lies in another file, {}", brief(uri)))?;
+    let path = path_beside(uri, folder)?;
+    fs::read(&path).map_err(|error| format!("{} cannot be read: {error}", path.display()))
+}
+
 /// Bytes of the file itself, or read for it.
 pub(super) enum Bytes<'a> {
     Borrowed(&'a [u8]),

@@ -5,9 +5,9 @@ use serde_json::{Value, json};
 use super::*;
 
 /// Writes small files: a buffer with a view and an accessor per array, and a description to change at will.
-struct Glb {
-    json: Value,
-    bin: Vec<u8>,
+pub(super) struct Glb {
+    pub(super) json: Value,
+    pub(super) bin: Vec<u8>,
 }
 
 impl Glb {
@@ -21,7 +21,7 @@ impl Glb {
     }
 
     /// One node with one triangle, (0,0,0) (1,0,0) (0,1,0), anticlockwise from +Z.
-    fn triangle() -> Glb {
+    pub(super) fn triangle() -> Glb {
         let mut glb = Glb::new();
         let positions = glb.positions(&TRIANGLE);
         let mesh = glb.mesh(json!([{"attributes": {"POSITION": positions}}]));
@@ -29,20 +29,20 @@ impl Glb {
         glb
     }
 
-    fn push(&mut self, list: &str, value: Value) -> usize {
+    pub(super) fn push(&mut self, list: &str, value: Value) -> usize {
         let list = self.json[list].as_array_mut().unwrap();
         list.push(value);
         list.len() - 1
     }
 
-    fn view(&mut self, bytes: &[u8]) -> usize {
+    pub(super) fn view(&mut self, bytes: &[u8]) -> usize {
         let offset = self.bin.len();
         self.bin.extend_from_slice(bytes);
         self.bin.resize(self.bin.len().next_multiple_of(4), 0);
         self.push("bufferViews", json!({"buffer": 0, "byteOffset": offset, "byteLength": bytes.len()}))
     }
 
-    fn positions(&mut self, positions: &[[f32; 3]]) -> usize {
+    pub(super) fn positions(&mut self, positions: &[[f32; 3]]) -> usize {
         let bytes: Vec<u8> = positions.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
         let view = self.view(&bytes);
         self.push(
@@ -59,7 +59,7 @@ impl Glb {
         )
     }
 
-    fn mesh(&mut self, primitives: Value) -> usize {
+    pub(super) fn mesh(&mut self, primitives: Value) -> usize {
         self.push("meshes", json!({"primitives": primitives}))
     }
 
@@ -67,13 +67,13 @@ impl Glb {
         self.push("nodes", node)
     }
 
-    fn root(&mut self, node: Value) -> usize {
+    pub(super) fn root(&mut self, node: Value) -> usize {
         let node = self.node(node);
         self.json["scenes"][0]["nodes"].as_array_mut().unwrap().push(json!(node));
         node
     }
 
-    fn bytes(&self) -> Vec<u8> {
+    pub(super) fn bytes(&self) -> Vec<u8> {
         let mut description = self.json.clone();
         if description["buffers"][0]["byteLength"] == 0 {
             description["buffers"][0]["byteLength"] = json!(self.bin.len());

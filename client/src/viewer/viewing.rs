@@ -1,0 +1,340 @@
+//! A world as it is being looked at: who is where, what is frozen, what is shown over it. No window and no GPU: in go seconds and
+//! keys, out comes what is to be drawn.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+
+use eyeline_protocol::{ObjectId, Welcome};
+use eyeline_visibility::{Resolution, View};
+use glam::{DQuat, DVec3, Vec2};
+
+use super::font;
+use super::inspect::{self, Inspector, Plan, Show, Stop};
+use super::model::{Mesh, Model, capsule};
+use super::online::{News, Online, Seen};
+use super::overlay::Overlay;
+use super::player::{Held, Player};
+use super::renderer::Moving;
+use super::sight::{CullerKind, Sight};
+use super::walk::{Body, Ground};
+
+/// What is to be drawn.
+pub struct Composed {
+    /// From where.
+    pub view: View,
+    /// Ids of the static triangles, ascending.
+    pub visible: Vec<u32>,
+    /// What moves.
+    pub moving: Vec<Moving>,
+    /// What is drawn over it.
+    pub overlay: Overlay,
+}
+
+/// Where an object is drawn, which glides to where it is.
+#[derive(Clone, Copy, Debug)]
+struct Shown {
+    position: DVec3,
+    orientation: DQuat,
+}
+
+/// For so long a wrong place is glided out of, seconds: to a third of it.
+const GLIDE: f64 = 0.1;
+/// Who was wrong by more jumps, metres: a glide through a room is no smoother.
+const JUMP: f64 = 2.0;
+
+/// A world that is looked at.
+pub struct Viewing {
+    model: Model,
+    ground: Ground,
+    sight: Sight,
+    inspector: Inspector,
+    online: Option<(Online, Welcome)>,
+    news: News,
+    shown: BTreeMap<ObjectId, Shown>,
+    /// Who looks.
+    pub player: Player,
+    /// Whether one may fly.
+    pub may_fly: bool,
+    /// Angle of view from left to right, radians.
+    pub fov_x: f64,
+    /// What is shown over the scene.
+    pub shows: BTreeSet<Show>,
+    /// Where traversals that are shown stop.
+    pub stop: Stop,
+    /// The view that is culled for while one looks from elsewhere, and what it saw.
+    frozen: Option<(View, Vec<u32>)>,
+    frame: Seconds,
+}
+
+/// Means over about a second.
+#[derive(Clone, Copy, Debug, Default)]
+struct Seconds {
+    frame: f64,
+    cull: f64,
+}
+
+impl Seconds {
+    fn add(&mut self, frame: f64, cull: f64) {
+        let share = (frame / 0.5).clamp(0.0, 1.0);
+        self.frame += (frame - self.frame) * share;
+        self.cull += (cull - self.cull) * share;
+    }
+}
+
+impl Viewing {
+    /// Looks at a model, connected or not.
+    pub fn new(model: Model, culler: CullerKind, player: Player, online: Option<(Online, Welcome)>) -> Viewing {
+        Viewing {
+            ground: Ground::new(&model.scene),
+            sight: Sight::new(culler, &model.scene),
+            inspector: Inspector::new(Arc::clone(&model.scene)),
+            may_fly: online.is_none(),
+            model,
+            online,
+            news: News::default(),
+            shown: BTreeMap::new(),
+            player,
+            fov_x: 1.4,
+            shows: BTreeSet::new(),
+            stop: Stop::default(),
+            frozen: None,
+            frame: Seconds::default(),
+        }
+    }
+
+    /// The model.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Bodies for classes without a mesh, in the order of classes, behind the model's own objects.
+    pub fn bodies(&self) -> Vec<Mesh> {
+        let classes = self.online.as_ref().map_or(&[][..], |(_, welcome)| &welcome.classes);
+        classes.iter().map(|class| capsule(class.extent.radius, class.extent.bottom, class.extent.top)).collect()
+    }
+
+    /// The measures of one's own body, as the server has them.
+    pub fn body(welcome: &Welcome) -> Body {
+        let usual = Body::default();
+        let Some(class) = welcome.classes.first() else { return usual };
+        let height = class.extent.top - class.extent.bottom;
+        let eye = class.eye_height - class.extent.bottom;
+        let is_sane = height > 0.2 && height < 100.0 && eye > 0.0 && eye <= height && class.extent.radius > 0.01;
+        if !is_sane {
+            return usual;
+        }
+        // A body as wide as its bound would get through few doors.
+        let radius = class.extent.radius.min(usual.radius);
+        Body { radius, height, eye, step: (0.26 * height).min(usual.step) }
+    }
+
+    /// Freezes what is culled for, or looks through one's own eyes again.
+    pub fn freeze(&mut self, resolution: Resolution) {
+        self.frozen = match self.frozen.take() {
+            Some(_) => None,
+            None => {
+                let view = self.view(resolution);
+                Some((view, self.sight.look(&view).visible.clone()))
+            }
+        };
+    }
+
+    /// Whether what is culled for is frozen.
+    pub fn is_frozen(&self) -> bool {
+        self.frozen.is_some()
+    }
+
+    /// Why the connection is over, if it is.
+    pub fn ended(&self) -> Option<&str> {
+        self.news.ended.as_deref()
+    }
+
+    fn view(&self, resolution: Resolution) -> View {
+        View {
+            eye: self.player.eye(),
+            orientation: self.player.orientation(),
+            fov_x: self.fov_x,
+            resolution,
+            near: 0.05,
+        }
+    }
+
+    /// Goes on by so many seconds and composes a frame. `cull_took` is what its culling takes, measured by the caller's clock.
+    pub fn frame(
+        &mut self,
+        held: Held,
+        seconds: f64,
+        resolution: Resolution,
+        scale: f32,
+        cull_took: impl FnOnce(&mut dyn FnMut()) -> Duration,
+    ) -> Composed {
+        // A frame that took long is not walked through all at once.
+        let step = seconds.clamp(0.0, 0.25);
+        let may_walk_out = self.may_fly || self.frozen.is_some();
+        self.player.is_flying &= may_walk_out;
+        self.player.go(held, &self.ground, step);
+        let view = self.view(resolution);
+        if let Some((online, _)) = &self.online {
+            // Whoever looks from elsewhere stays where they were.
+            let (eye, yaw) =
+                self.frozen.as_ref().map_or((view.eye, self.player.yaw), |(frozen, _)| (frozen.eye, yaw_of(frozen)));
+            self.news = online.exchange(eye, yaw, self.shows.contains(&Show::Hidden));
+        }
+        self.glide(step);
+        let mut visible = Vec::new();
+        let took = match &self.frozen {
+            Some((_, frozen)) => {
+                visible.clone_from(frozen);
+                Duration::ZERO
+            }
+            None => cull_took(&mut || visible.clone_from(&self.sight.look(&view).visible)),
+        };
+        self.frame.add(seconds, took.as_secs_f64());
+        let moving = self.shown.iter().filter_map(|(object, shown)| self.moving(*object, shown)).collect();
+        let overlay = self.overlay(&view, &visible, scale);
+        Composed { view, visible, moving, overlay }
+    }
+
+    /// Moves what is shown to where it is by now.
+    fn glide(&mut self, seconds: f64) {
+        let age = self.news.at.map_or(0.0, |at| at.elapsed().as_secs_f64().min(0.5));
+        let stay = (-seconds / GLIDE).exp();
+        let mut before = std::mem::take(&mut self.shown);
+        for Seen { object, position, velocity, orientation } in &self.news.seen {
+            let (position, orientation) = (*position + *velocity * age, *orientation);
+            let shown = match before.remove(object) {
+                Some(shown) if shown.position.distance(position) < JUMP => {
+                    let position = position.lerp(shown.position + *velocity * seconds, stay);
+                    Shown { position, orientation: orientation.slerp(shown.orientation, stay).normalize() }
+                }
+                _ => Shown { position, orientation },
+            };
+            self.shown.insert(*object, shown);
+        }
+    }
+
+    fn moving(&self, object: ObjectId, shown: &Shown) -> Option<Moving> {
+        let named = self.news.names.get(&object)?;
+        let of_node = self.model.objects.iter().position(|mesh| !named.node.is_empty() && mesh.name == named.node);
+        let mesh = of_node.unwrap_or(self.model.objects.len() + usize::from(named.class.0));
+        // People without a mesh are told apart by colour: hues a golden section apart, so that neighbours differ.
+        let hue = f64::from(object.0) * 0.618_034 * std::f64::consts::TAU;
+        let part = |shift: f64| (0.55 + 0.4 * (hue + shift).cos()) as f32;
+        let tint = if of_node.is_some() { [1.0; 3] } else { [part(0.0), part(2.1), part(4.2)] };
+        Some(Moving { mesh, position: shown.position, orientation: shown.orientation, tint })
+    }
+
+    fn overlay(&mut self, view: &View, visible: &[u32], scale: f32) -> Overlay {
+        let mut overlay = Overlay::default();
+        let shows = |show| self.shows.contains(&show);
+        let looked = self.frozen.as_ref().map_or(*view, |(frozen, _)| *frozen);
+        let wants_cells = shows(Show::Cells) || shows(Show::Front);
+        let traversed = if wants_cells { Some(self.inspector.traverse(&looked, self.stop)) } else { None };
+        if let Some(traversed) = traversed.as_ref().filter(|_| self.shows.contains(&Show::Cells)) {
+            Inspector::show_cells(&mut overlay, traversed);
+        }
+        if let Some(traversed) = traversed.as_ref().filter(|_| self.shows.contains(&Show::Front)) {
+            Inspector::show_front(&mut overlay, traversed);
+        }
+        if self.shows.contains(&Show::Tiles) && self.frozen.is_none() {
+            self.inspector.show_tiles(&mut overlay, view);
+        }
+        let shows = |show| self.shows.contains(&show);
+        if shows(Show::Hidden) {
+            inspect::show_hidden(&mut overlay, &self.news.hidden);
+        }
+        // From inside, these are nothing but lines before one's eyes.
+        if self.frozen.is_some() && shows(Show::Region) {
+            inspect::show_region(&mut overlay, looked.eye, self.news.numbers.eye_radius);
+        }
+        if self.frozen.is_some() && shows(Show::Frustum) {
+            inspect::show_frustum(&mut overlay, &looked, 4.0);
+        }
+        self.names(&mut overlay, view, scale);
+        if shows(Show::Inset) {
+            let seen: Vec<_> = self.shown.values().map(|shown| shown.position).collect();
+            let (scene, hidden) = (&self.model.scene, &self.news.hidden[..]);
+            let plan = Plan { scene, visible, view: &looked, seen: &seen, hidden, traversed: traversed.as_ref() };
+            inspect::show_inset(&mut overlay, &plan, scale);
+        }
+        if shows(Show::Numbers) {
+            overlay.label(&self.numbers(visible.len()), Vec2::splat(4.0 * scale), scale, [1.0; 4]);
+        }
+        overlay
+    }
+
+    /// Names over heads.
+    fn names(&self, overlay: &mut Overlay, view: &View, scale: f32) {
+        for (object, shown) in &self.shown {
+            let Some(named) = self.news.names.get(object).filter(|named| !named.name.is_empty()) else { continue };
+            let class = self.online.as_ref().and_then(|(_, welcome)| welcome.classes.get(usize::from(named.class.0)));
+            let top = class.map_or(2.0, |class| class.extent.top);
+            let Some(at) = pixel(view, shown.position + DVec3::Y * (top + 0.15)) else { continue };
+            let name: String = named.name.chars().filter(|letter| !letter.is_control()).take(24).collect();
+            // People before things, which are many.
+            let scale = if named.node.is_empty() { scale } else { (scale * 0.5).floor().max(1.0) };
+            let half = font::size(&name) * scale * 0.5;
+            overlay.label(&name, (at - half).floor(), scale, [1.0; 4]);
+        }
+    }
+
+    fn numbers(&self, visible: usize) -> String {
+        let total = self.model.scene.triangles().len();
+        let Seconds { frame, cull } = self.frame;
+        let mut text =
+            format!("{:.1} ms a frame, culling {:.2} ms\n{visible} of {total} triangles", frame * 1e3, cull * 1e3);
+        if self.frozen.is_some() {
+            text += "\nfrozen";
+        }
+        if self.player.is_flying {
+            text += "\nflying";
+        }
+        if self.online.is_some() {
+            let numbers = &self.news.numbers;
+            let (seen, hidden, asked) = numbers.counts;
+            let (cull, track) = numbers.took;
+            text += &format!(
+                "\n{seen} in sight, {hidden} hidden, {asked} asked for\n{} messages in, {} out\nall round {:.2} ms, tracking {:.2} ms",
+                numbers.messages.0,
+                numbers.messages.1,
+                cull.as_secs_f64() * 1e3,
+                track.as_secs_f64() * 1e3,
+            );
+            if let Some(round_trip) = numbers.round_trip {
+                text += &format!("\nround trip {:.1} ms", round_trip.as_secs_f64() * 1e3);
+            }
+        }
+        text
+    }
+}
+
+fn yaw_of(view: &View) -> f64 {
+    let forward = view.orientation * DVec3::NEG_Z;
+    (-forward.x).atan2(-forward.z)
+}
+
+/// Where a point is in the image, in pixels; `None` behind the eye.
+fn pixel(view: &View, point: DVec3) -> Option<Vec2> {
+    let local = view.orientation.conjugate() * (point - view.eye);
+    let (focal, depth) = (view.focal_px(), -local.z);
+    let centre = Vec2::new(view.resolution.width as f32, view.resolution.height as f32) * 0.5;
+    let at = Vec2::new((local.x / depth * focal) as f32, (-local.y / depth * focal) as f32);
+    (depth > view.near).then_some(centre + at)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ray_through_a_pixel_comes_back_to_it() {
+        let view = View::level(DVec3::new(1.0, 2.0, 3.0), 0.8, 1.3, Resolution::new(320, 200));
+        for (x, y) in [(0.0, 0.0), (160.0, 100.0), (300.0, 20.0)] {
+            let point = view.eye + eyeline_visibility::image_ray(&view, x, y) * 7.0;
+            let found = pixel(&view, point).unwrap();
+            assert!(found.abs_diff_eq(Vec2::new(x as f32, y as f32), 1e-3), "{found}");
+        }
+        assert_eq!(pixel(&view, view.eye - eyeline_visibility::image_ray(&view, 160.0, 100.0)), None);
+    }
+}
