@@ -5,20 +5,28 @@
 //! it, with the columns of [`row`].
 
 pub mod budget;
+pub mod candidate;
+mod entries;
 pub mod fragments;
 pub mod max_pass;
 pub mod path;
 pub mod picture;
+pub mod plp;
 pub mod registry;
 pub mod report;
 pub mod row;
 pub mod run;
+pub mod shop;
+mod tally;
+mod truth;
 pub mod world;
 
-pub use budget::{AskedBudget, BudgetError};
+pub use budget::{AskedBudget, BudgetError, BudgetKind};
+pub use candidate::{Candidate, WithScratch};
 pub use max_pass::MaxPass;
 pub use path::{Camera, CameraPath, PathError, Stop};
-pub use registry::{Candidate, Entry, Registry, Setting, Shop, Sweep, SweepError, WithScratch};
+pub use registry::{Budgets, Entry, Registry, Setting, Sweep, SweepError};
 pub use row::{CullRow, columns};
 pub use run::{CullConfig, Outcome};
+pub use shop::Shop;
 pub use world::{World, WorldRules};
