@@ -122,7 +122,7 @@ fn budgets_may_follow_the_view_and_rows_say_what_they_were() {
     assert_eq!(once.budget_triangles, Some(once.exact.round() as usize));
     assert!(once.kept <= once.exact && four_times.kept > once.kept);
     // Each view has its own: nowhere is more drawn than that view shows.
-    assert!(once.visible_found_mean > 0.5 && four_times.visible_found_mean > 0.9, "{once:?} {four_times:?}");
+    assert!(once.visible_found_mean > 0.25 && four_times.visible_found_mean > 0.9, "{once:?} {four_times:?}");
     assert!(four_times.visible_found_mean >= once.visible_found_mean);
     assert!(centroid.budget_triangles == once.budget_triangles && centroid_four.kept > centroid.kept);
     assert!(auto.budget_triangles.is_some_and(|budget| budget >= 1_000) && auto.visible_found_mean > 0.9);
