@@ -5,8 +5,8 @@
 //! Sudarsky & Gotsman's 𝒜 too (1999, §4), whose dynamic half is [`crate::DynamicOctree`] here. Greene's first drawing of what
 //! was visible in the frame before is left out: cullers know nothing of other frames.
 //!
-//! Who has PLP may let it choose what is drawn first ([`HierarchicalZ::with_plp`]; Klosowski & Silva 2000, §6): nodes that it fills the
-//! image in front of are left without being opened.
+//! Who has PLP may let it choose what is drawn first ([`HierarchicalZ::with_plp`]; Klosowski & Silva 2000, §6). That saves no
+//! question: front to back, all that can hide a node is drawn before the node is asked about. It is here to be measured against.
 //!
 //! When the walk is over, the pyramid answers for moving bounds too, and moving things may be drawn into it.
 

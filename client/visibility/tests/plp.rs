@@ -185,7 +185,7 @@ fn coverage_finds_the_wall_before_the_crowd_behind_it() {
 }
 
 #[test]
-fn occluders_chosen_by_plp_save_a_z_pyramid_questions_and_change_no_picture() {
+fn occluders_chosen_by_plp_cost_a_z_pyramid_no_question_and_change_no_picture() {
     let scene = wall_and_crowd(4_000);
     let view = view(DVec3::new(0.3, 0.4, 6.0));
     let (exact, items) = exact_set(&scene, &view);
