@@ -78,14 +78,19 @@ impl Leaves {
         self.drawn.resize(tessellation.primitive_total(), false);
     }
 
-    /// The primitives of a cell that were not drawn yet.
-    pub(crate) fn project(&mut self, tessellation: &dyn Tessellation, cell: CellId) -> &[u32] {
-        let from = self.visible.len();
-        for &id in tessellation.primitives(cell) {
+    /// Counts primitives as drawn that were drawn before any cell.
+    pub(crate) fn add(&mut self, primitives: &[u32]) {
+        for &id in primitives {
             if !std::mem::replace(&mut self.drawn[id as usize], true) {
                 self.visible.push(id);
             }
         }
+    }
+
+    /// The primitives of a cell that were not drawn yet.
+    pub(crate) fn project(&mut self, tessellation: &dyn Tessellation, cell: CellId) -> &[u32] {
+        let from = self.visible.len();
+        self.add(tessellation.primitives(cell));
         &self.visible[from..]
     }
 

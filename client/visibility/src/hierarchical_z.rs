@@ -5,6 +5,9 @@
 //! Sudarsky & Gotsman's 𝒜 too (1999, §4), whose dynamic half is [`crate::DynamicOctree`] here. Greene's first drawing of what
 //! was visible in the frame before is left out: cullers know nothing of other frames.
 //!
+//! Who has PLP may let it choose what is drawn first ([`HierarchicalZ::with_plp`]; Klosowski & Silva 2000, §6). That saves no
+//! question: front to back, all that can hide a node is drawn before the node is asked about. It is here to be measured against.
+//!
 //! When the walk is over, the pyramid answers for moving bounds too, and moving things may be drawn into it.
 
 use std::cell::Cell;
@@ -13,8 +16,8 @@ use std::sync::Arc;
 use crate::culler::everything;
 use crate::raster_sampled::{BoxImage, BoxPlace, TILE};
 use crate::{
-    Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, Octree, OctreeRules, Scene, Scratch, Tessellation,
-    Traversal, Triangle, View,
+    Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, Octree, OctreeRules, Plp, Scene, Scratch,
+    Tessellation, Traversal, Triangle, View,
 };
 
 /// An octree against a Z-pyramid. An eye region that is not the view's eye gets everything.
@@ -22,13 +25,15 @@ use crate::{
 pub struct HierarchicalZ {
     scene: Arc<Scene>,
     octree: Arc<Octree>,
+    /// Who chooses occluders, and how many triangles.
+    plp: Option<(Arc<Plp>, usize)>,
 }
 
 impl HierarchicalZ {
     /// Culls with cells that were made for this scene.
     pub fn new(scene: Arc<Scene>, octree: Arc<Octree>) -> HierarchicalZ {
         assert_eq!(scene.triangles().len(), octree.primitive_total(), "the octree is another scene's");
-        HierarchicalZ { scene, octree }
+        HierarchicalZ { scene, octree, plp: None }
     }
 
     /// Makes the octree by default rules.
@@ -36,13 +41,26 @@ impl HierarchicalZ {
         let octree = Arc::new(Octree::build(&scene, OctreeRules::default()));
         HierarchicalZ::new(scene, octree)
     }
+
+    /// Lets PLP choose up to `budget` triangles that are drawn before the walk. They are reported as visible too.
+    ///
+    /// # Panics
+    /// If it is over another scene.
+    pub fn with_plp(self, plp: Arc<Plp>, budget: usize) -> HierarchicalZ {
+        assert_eq!(self.scene.triangles().len(), plp.scene().triangles().len(), "PLP is over another scene");
+        HierarchicalZ { plp: Some((plp, budget)), ..self }
+    }
 }
 
 impl Culler for HierarchicalZ {
     fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
+        let chosen = |(plp, budget): &(Arc<Plp>, usize)| plp.occluders(view, *budget, &mut scratch.plp);
+        let first = self.plp.as_ref().map_or_else(Vec::new, chosen);
         let Some((image, leaves)) = scratch.begin_pyramid(view, region) else { return everything(&self.scene) };
         leaves.begin(&*self.octree);
-        let mut traversal = Traversal::default();
+        leaves.add(&first);
+        image.draw(first.iter().map(|&id| &self.scene.triangles()[id as usize]));
+        let mut traversal = Traversal { plp_triangles: first.len(), ..Traversal::default() };
         self.octree.front_to_back(view.eye, |aabb, leaf| {
             traversal.queries += 1;
             let seen = image.sees(aabb);

@@ -91,6 +91,12 @@ impl PlpScratch {
         front
     }
 
+    /// How many cells the last traversal has marked: entered into the front, projected, or found out of view. All others were not
+    /// touched. Counting looks at every cell.
+    pub fn marked(&self) -> usize {
+        self.states.iter().filter(|state| self.frame > 0 && state.frame == self.frame).count()
+    }
+
     fn begin(&mut self, cells: &PlpCells) {
         self.frame = self.frame.wrapping_add(1);
         if self.frame == 0 {
@@ -169,6 +175,14 @@ impl Plp {
     /// The scene.
     pub fn scene(&self) -> &Arc<Scene> {
         &self.scene
+    }
+
+    /// The occluders to draw first for a culler that asks its own image (§6, extension 1): of what a traversal draws within
+    /// `budget` triangles, those that occlude, in its order. None for a view that [`View::check`] refuses.
+    pub fn occluders(&self, view: &View, budget: usize, scratch: &mut PlpScratch) -> Vec<u32> {
+        self.traverse(view, budget, scratch).for_each(drop);
+        let occludes = |id: &u32| self.scene.triangles()[*id as usize].occludes;
+        scratch.drawn().iter().copied().filter(occludes).collect()
     }
 
     /// Begins a traversal that draws at most `budget` triangles. Only triangles in view and not turned away are drawn and

@@ -15,7 +15,7 @@ pub struct PlpRules {
     /// was reached by. 1 means no penalty. The paper names the factor and gives no value; 2 is ours. Unused by
     /// [`Solidity::Coverage`].
     pub penalty_factor: f32,
-    /// What happens to a cell of the front that is reached again. The paper: its solidity is replaced.
+    /// What happens to a cell of the front that is reached again. [`PlpRules::paper`] has [`Requeue::IfLess`], see there.
     pub requeue: Requeue,
     /// Where a traversal begins if the eye is outside all cells. The paper: in the nearest cell.
     pub seeds: Seeds,
@@ -81,13 +81,18 @@ pub enum Seeds {
 
 impl PlpRules {
     /// The paper's.
+    ///
+    /// Where it leaves a reading open, the one that comes near its own figures: `city` within 10 %, octree leaves of 1.25 % of its side,
+    /// shows 82 % of the visible set and at most 6.8 % wrong pixels with [`Requeue::IfLess`]. With [`Requeue::Always`], as figure 4
+    /// may be taken by the letter ("remove it and reinsert it with the updated solidity"), it is 81 % and 15.1 %: a cell that was
+    /// reached along a free way is put back because a solid cell beside it was projected later.
     pub fn paper() -> PlpRules {
         PlpRules {
             solidity: Solidity::Count,
             solidity_max: SolidityMax::Maximum,
             transfer: Transfer::View,
             penalty_factor: 2.0,
-            requeue: Requeue::Always,
+            requeue: Requeue::IfLess,
             seeds: Seeds::Nearest,
         }
     }

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    CentroidOrder, Culler, Delaunay, DelaunayRules, EyeRegion, Octree, OctreeRules, Plp, PlpCells, PlpCuller, PlpRules,
-    PlpScratch, Requeue, Resolution, Scene, Scratch, Seeds, Sides, Solidity, SolidityMax, Transfer, Triangle, View,
-    exact_set, wrong_pixels,
+    CentroidOrder, Culler, Delaunay, DelaunayRules, EyeRegion, HierarchicalZ, Octree, OctreeRules, Plp, PlpCells,
+    PlpCuller, PlpRules, PlpScratch, Requeue, Resolution, Scene, Scratch, Seeds, Sides, Solidity, SolidityMax,
+    Transfer, Triangle, View, exact_set, wrong_pixels,
 };
 use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
@@ -67,7 +67,7 @@ fn all_rules() -> Vec<PlpRules> {
         PlpRules::default(),
         paper,
         paper.with_transfer(Transfer::Cell).with_penalty_factor(10.0),
-        paper.with_requeue(Requeue::IfLess).with_seeds(Seeds::Hull),
+        paper.with_requeue(Requeue::Always).with_seeds(Seeds::Hull),
         paper.with_requeue(Requeue::Never).with_solidity_max(SolidityMax::Percentile(0.5)),
         paper.with_solidity(Solidity::Coverage { columns: 0 }),
     ]
@@ -161,6 +161,13 @@ fn a_frame_begins_without_touching_all_cells() {
     plp.traverse(&view(DVec3::ZERO), 20, &mut scratch).for_each(drop);
     let touched = scratch.projected().len() + scratch.front().len();
     assert!(touched * 10 < cells.len(), "{touched} of {}", cells.len());
+    // Marks are projected cells, the front, and cells found out of view on the way; a traversal without budget marks its seed.
+    assert!((touched..cells.len() / 5).contains(&scratch.marked()), "{} of {}", scratch.marked(), cells.len());
+    plp.traverse(&view(DVec3::ZERO), 0, &mut scratch).for_each(drop);
+    assert_eq!(scratch.marked(), 1);
+    plp.traverse(&view(DVec3::ZERO), usize::MAX, &mut scratch).for_each(drop);
+    assert!(scratch.marked() > 5 * touched);
+    assert_eq!(PlpScratch::default().marked(), 0);
 }
 
 #[test]
@@ -175,6 +182,30 @@ fn coverage_finds_the_wall_before_the_crowd_behind_it() {
         assert_eq!(share(&drawn, &exact), 1.0);
         assert_eq!(wrong_pixels(&scene, &view, &drawn, &items), 0);
     }
+}
+
+#[test]
+fn occluders_chosen_by_plp_cost_a_z_pyramid_no_question_and_change_no_picture() {
+    let scene = wall_and_crowd(4_000);
+    let view = view(DVec3::new(0.3, 0.4, 6.0));
+    let (exact, items) = exact_set(&scene, &view);
+    let plp = Arc::new(Plp::new(scene.clone(), boxes(&scene), PlpRules::default()));
+    let chosen = plp.occluders(&view, 10_000, &mut PlpScratch::default());
+    assert_eq!(chosen[..10], plp.occluders(&view, 10, &mut PlpScratch::default()));
+    let plain = HierarchicalZ::build(scene.clone());
+    let cull = |culler: &HierarchicalZ| culler.cull(&view, EyeRegion::point(view.eye), &mut Scratch::default());
+    let before = cull(&plain);
+    for budget in [0, 50, 600] {
+        let culled = cull(&plain.clone().with_plp(plp.clone(), budget));
+        assert_eq!(share(&culled.visible, &exact), 1.0);
+        assert_eq!(wrong_pixels(&scene, &view, &culled.visible, &items), 0);
+        assert!(culled.visible.is_sorted_by(|a, b| a < b) && culled.traversal.plp_triangles == budget);
+        assert!(culled.traversal.queries <= before.traversal.queries, "{budget}");
+    }
+    let blind = View { eye: DVec3::NAN, ..view };
+    assert!(plp.occluders(&blind, 100, &mut PlpScratch::default()).is_empty());
+    let culled = plain.with_plp(plp, 100).cull(&blind, EyeRegion::point(view.eye), &mut Scratch::default());
+    assert_eq!(culled.visible.len(), scene.triangles().len());
 }
 
 #[test]

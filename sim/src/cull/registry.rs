@@ -2,139 +2,12 @@
 //!
 //! A culler is one [`Entry`] of [`Registry::standard`]: its name, what can be chosen for it, and how it is made. A sweep is
 //! the product of what it can choose and what was asked for. What several settings share (a tessellation of a large scene
-//! takes seconds) is made once, by the [`Shop`].
+//! takes seconds) is made once, by the [`Shop`]. The table is in `entries.rs`.
 
-use std::sync::Arc;
-
-use eyeline_visibility::{
-    Aabb, Budget, CentroidOrder, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, Delaunay,
-    DelaunayRules, DepthBuffer, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree, LargeOccluder,
-    LargeOccluderRules, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules, Plp, PlpCells, PlpCuller, PlpRules,
-    QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, Triangle, View,
-    ZBuffer,
-};
-
-use super::budget::AskedBudget;
-use super::picture::Layer;
-
-/// A culler under test, with all that it keeps from frame to frame.
-pub trait Candidate {
-    /// Culls a view, for every eye of the region.
-    fn cull(&mut self, view: &View, region: EyeRegion) -> Culled;
-
-    /// What the last cull knows to be hidden.
-    fn occlusion(&self) -> &dyn Occlusion;
-
-    /// Draws opaque triangles that are no part of the scene, in its coordinates, so that they hide from now on what lies behind
-    /// them in the view of the last cull. Returns whether the culler can.
-    fn draw_moving(&mut self, _triangles: &[Triangle]) -> bool {
-        false
-    }
-
-    /// Comparisons of depths of the last cull, drawing and queries, if it draws a Z-buffer of its own. Else the report counts
-    /// those that drawing the visible set takes.
-    fn z_tests(&self) -> Option<u64> {
-        None
-    }
-
-    /// What the culler can show of itself in a view: the front, finished tiles.
-    fn layers(&mut self, _view: &View) -> Vec<Layer> {
-        Vec::new()
-    }
-}
-
-/// Any culler with a scratch of its own.
-pub struct WithScratch<C> {
-    culler: C,
-    scratch: Scratch,
-    z_tests: u64,
-}
-
-impl<C> WithScratch<C> {
-    /// Gives a culler its scratch.
-    pub fn new(culler: C) -> WithScratch<C> {
-        WithScratch { culler, scratch: Scratch::default(), z_tests: 0 }
-    }
-}
-
-impl<C: Culler> Candidate for WithScratch<C> {
-    fn cull(&mut self, view: &View, region: EyeRegion) -> Culled {
-        let culled = self.culler.cull(view, region, &mut self.scratch);
-        self.z_tests = culled.z_tests;
-        culled
-    }
-
-    fn occlusion(&self) -> &dyn Occlusion {
-        self.scratch.occlusion()
-    }
-
-    fn draw_moving(&mut self, triangles: &[Triangle]) -> bool {
-        self.scratch.draw_moving(triangles)
-    }
-
-    fn z_tests(&self) -> Option<u64> {
-        (self.z_tests > 0).then_some(self.z_tests)
-    }
-}
-
-/// cPLP with any query back end, which can show its front.
-struct WithFront<C> {
-    inner: WithScratch<C>,
-    scene: Arc<Scene>,
-    cplp: Arc<Cplp>,
-    budget: Budget,
-    query: QueryKind,
-}
-
-impl<C: Culler> Candidate for WithFront<C> {
-    fn cull(&mut self, view: &View, region: EyeRegion) -> Culled {
-        self.inner.cull(view, region)
-    }
-
-    fn occlusion(&self) -> &dyn Occlusion {
-        self.inner.occlusion()
-    }
-
-    fn draw_moving(&mut self, triangles: &[Triangle]) -> bool {
-        self.inner.draw_moving(triangles)
-    }
-
-    fn z_tests(&self) -> Option<u64> {
-        self.inner.z_tests()
-    }
-
-    fn layers(&mut self, view: &View) -> Vec<Layer> {
-        // The paper's figure 10: what each of the first rounds asks about, past what was drawn before it, and which tiles are
-        // finished then.
-        let mut layers = Vec::new();
-        let mut query = self.query.back_end();
-        let mut drawn: Vec<u32> = {
-            let mut depth = DepthBuffer::new(view);
-            let (mut scratch, eye) = (CplpScratch::default(), EyeRegion::point(view.eye));
-            self.cplp.traverse_plp(&self.scene, eye, self.budget, &mut depth.target(&self.scene), &mut scratch);
-            scratch.visible().to_vec()
-        };
-        let cells = self.cplp.tessellation().clone();
-        let watch = |round: Round<'_>, query: &CpuQuery| {
-            if let Some(name) = FRONTS.get(round.number - 1) {
-                let boxes: Vec<Aabb> = round.cells.iter().map(|&cell| *cells.cell(cell)).collect();
-                layers.push(Layer::of_boxes(name, &self.scene, &drawn, &boxes, view));
-                let tiles = query.finished_tiles();
-                if !tiles.is_empty() {
-                    layers.push(Layer::of_tiles(FINISHED[round.number - 1], &tiles, view.resolution));
-                }
-            }
-            let seen = round.cells.iter().zip(round.seen).filter(|(_, seen)| **seen);
-            drawn.extend(seen.flat_map(|(&cell, _)| cells.primitives(cell)));
-        };
-        self.cplp.watch_rounds(&self.scene, view, self.budget, &mut query, &mut CplpScratch::default(), watch);
-        layers
-    }
-}
-
-/// Names of the pictures of the first rounds.
-const FRONTS: [&str; 2] = ["front, round 1", "front, round 2"];
-const FINISHED: [&str; 2] = ["finished tiles, round 1", "finished tiles, round 2"];
+use super::budget::{AskedBudget, BudgetKind};
+use super::candidate::Candidate;
+use super::entries;
+use super::shop::Shop;
 
 /// What was chosen for a culler. `None` where it has no choice.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -174,102 +47,41 @@ pub struct Entry {
     pub tessellations: &'static [&'static str],
     /// Query back ends that it can use, best first; empty if it has none.
     pub queries: &'static [&'static str],
-    /// Its budget of triangles if none is asked for; `None` if it has none.
-    pub budget: Option<&'static str>,
+    /// Which budgets it can use.
+    pub budget: Budgets,
     /// Makes it.
     pub make: fn(&mut Shop, &Setting) -> Box<dyn Candidate>,
 }
 
-/// What cullers of one scene are made from; parts are made once.
-pub struct Shop {
-    scene: Arc<Scene>,
-    octree: Option<Arc<Octree>>,
-    kd_tree: Option<Arc<KdTree>>,
-    occluders: Option<Arc<Occluders>>,
-    plp_octree: Option<PlpCells>,
-    delaunay: Option<PlpCells>,
+/// Which budgets a culler can use, with the one it takes if none is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Budgets {
+    /// It has none.
+    None,
+    /// Triangles and shares of the scene.
+    Given(&'static str),
+    /// Multiples of the visible set too.
+    Visible(&'static str),
+    /// Budgets that are found on the way too: automatic ones and deadlines.
+    Any(&'static str),
 }
 
-impl Shop {
-    /// A shop for a scene.
-    pub fn new(scene: Arc<Scene>) -> Shop {
-        Shop { scene, octree: None, kd_tree: None, occluders: None, plp_octree: None, delaunay: None }
-    }
-
-    /// The scene.
-    pub fn scene(&self) -> Arc<Scene> {
-        self.scene.clone()
-    }
-
-    /// The octree.
-    pub fn octree(&mut self) -> Arc<Octree> {
-        self.octree.get_or_insert_with(|| Arc::new(Octree::build(&self.scene, OctreeRules::default()))).clone()
-    }
-
-    /// The tessellation that a setting names.
-    pub fn tessellation(&mut self, setting: &Setting) -> Arc<dyn Tessellation> {
-        match setting.tessellation {
-            Some(KD_TREE) => {
-                let kd_tree = &mut self.kd_tree;
-                kd_tree.get_or_insert_with(|| Arc::new(KdTree::build(&self.scene, KdRules::default()))).clone()
-            }
-            _ => self.octree(),
+impl Budgets {
+    fn default(self) -> Option<&'static str> {
+        match self {
+            Budgets::None => None,
+            Budgets::Given(text) | Budgets::Visible(text) | Budgets::Any(text) => Some(text),
         }
     }
 
-    /// cPLP over the tessellation that a setting names.
-    pub fn cplp(&mut self, setting: &Setting) -> Arc<Cplp> {
-        Arc::new(Cplp::new(self.tessellation(setting)))
-    }
-
-    /// The cells that PLP walks: octree leaves by the paper's rules, or tetrahedra over them. Where no tetrahedra can be made,
-    /// the octree stands in for them.
-    pub fn plp_cells(&mut self, setting: &Setting) -> PlpCells {
-        let scene = &self.scene;
-        let octree = &mut self.plp_octree;
-        let mut octree = || {
-            let made = || PlpCells::Boxes(Arc::new(Octree::build(scene, OctreeRules::paper())));
-            octree.get_or_insert_with(made).clone()
-        };
-        if setting.tessellation == Some(OCTREE) {
-            return octree();
+    fn can(self, budget: &AskedBudget) -> bool {
+        match budget.kind() {
+            BudgetKind::Triangles(_) | BudgetKind::Share(_) => self != Budgets::None,
+            BudgetKind::Visible(_) => matches!(self, Budgets::Visible(_) | Budgets::Any(_)),
+            BudgetKind::Auto | BudgetKind::Deadline(_) => matches!(self, Budgets::Any(_)),
         }
-        let made = || match Delaunay::build(scene, DelaunayRules::default()) {
-            Ok(delaunay) => PlpCells::Tetrahedra(Arc::new(delaunay)),
-            Err(_) => octree(),
-        };
-        self.delaunay.get_or_insert_with(made).clone()
-    }
-
-    /// PLP over the cells that a setting names.
-    pub fn plp(&mut self, setting: &Setting, rules: PlpRules) -> PlpCuller {
-        let plp = Plp::new(self.scene(), self.plp_cells(setting), rules);
-        PlpCuller::new(Arc::new(plp), self.budget(setting))
-    }
-
-    /// The budget that a setting names, in triangles.
-    pub fn budget(&self, setting: &Setting) -> usize {
-        let total = self.scene.triangles().len();
-        setting.budget.as_ref().map_or(Budget::default().triangles, |budget| budget.triangles(total))
-    }
-
-    /// The polygons that under-estimating coverage draws.
-    pub fn occluders(&mut self) -> Arc<Occluders> {
-        self.occluders.get_or_insert_with(|| Arc::new(Occluders::build(&self.scene))).clone()
     }
 }
-
-/// Pixels of the image that `region` draws, whatever the picture's resolution.
-const REGION_PIXELS: u32 = 256 * 128;
-
-/// Budgets where none is asked for: [`Budget::default`] for cPLP, the paper's largest for PLP alone.
-const CPLP_BUDGET: &str = "100";
-const PLP_BUDGET: &str = "10%";
-
-/// Names of tessellations.
-const DELAUNAY: &str = "delaunay";
-const OCTREE: &str = "octree";
-const KD_TREE: &str = "kd-tree";
 
 /// All cullers that can be named.
 #[derive(Clone, Debug)]
@@ -284,7 +96,7 @@ pub struct Sweep {
     pub tessellations: Vec<String>,
     /// Query back ends; `all` for all.
     pub queries: Vec<String>,
-    /// Budgets in triangles or shares of the scene.
+    /// Budgets; each culler takes those that it can use.
     pub budgets: Vec<AskedBudget>,
 }
 
@@ -303,7 +115,7 @@ pub enum SweepError {
     },
     /// Every name is known, but no culler has them together.
     #[error(
-        "none of the cullers {cullers} can use what was asked for; leave out --tessellation or --query, or name others"
+        "none of the cullers {cullers} can use what was asked for; leave out --tessellation, --query or --budgets, or name others"
     )]
     Nothing {
         /// Their names.
@@ -317,180 +129,7 @@ const ALL: &str = "all";
 impl Registry {
     /// The cullers of `eyeline-visibility`.
     pub fn standard() -> Registry {
-        Registry(vec![
-            Entry {
-                name: "zbuffer",
-                about: "everything, the baseline ZB",
-                conservative: true,
-                by_rays: false,
-                tessellations: &[],
-                queries: &[],
-                budget: None,
-                make: |shop, _| Box::new(WithScratch::new(ZBuffer::new(shop.scene()))),
-            },
-            Entry {
-                name: "frustum-backface",
-                about: "what is in view and not turned away, the baseline VF-BF",
-                conservative: true,
-                by_rays: false,
-                tessellations: &[],
-                queries: &[],
-                budget: None,
-                make: |shop, _| Box::new(WithScratch::new(FrustumBackface::new(shop.scene()))),
-            },
-            Entry {
-                name: "frustum",
-                about: "what is in view, by a kD-tree's nodes, objects and clusters: Coorg & Teller's baseline",
-                conservative: true,
-                by_rays: false,
-                tessellations: &[],
-                queries: &[],
-                budget: None,
-                make: |shop, _| {
-                    let rules = LargeOccluderRules::default().with_occluders(0);
-                    Box::new(WithScratch::new(LargeOccluder::new(shop.scene(), rules)))
-                },
-            },
-            Entry {
-                name: "large-occluder",
-                about: "nodes of a kD-tree against planes of a few large polygons, kept from frame to frame (Coorg & Teller)",
-                conservative: true,
-                by_rays: false,
-                tessellations: &[],
-                queries: &["planes"],
-                budget: None,
-                make: |shop, _| Box::new(WithScratch::new(LargeOccluder::build(shop.scene()))),
-            },
-            Entry {
-                name: "masked",
-                about: "conservative PLP against coverage masks: faces of cells are asked about, then objects and clusters",
-                conservative: true,
-                by_rays: false,
-                tessellations: &[KD_TREE, OCTREE],
-                queries: &["masks"],
-                budget: None,
-                make: |shop, setting| {
-                    let tessellation = shop.tessellation(setting);
-                    Box::new(WithScratch::new(MaskedCplp::new(shop.scene(), tessellation)))
-                },
-            },
-            Entry {
-                name: "cplp",
-                about: "conservative PLP: cells of a tessellation from the eye outward, queried against what was drawn",
-                conservative: true,
-                by_rays: false,
-                tessellations: &[OCTREE, KD_TREE],
-                queries: &[
-                    "sampled",
-                    "item-buffer",
-                    "item-buffer-tiled",
-                    "histogram",
-                    "one-at-a-time",
-                    "per-fragment-histogram",
-                ],
-                budget: Some(CPLP_BUDGET),
-                make: |shop, setting| {
-                    let budget = Budget { triangles: shop.budget(setting) };
-                    let (scene, cplp) = (shop.scene(), shop.cplp(setting));
-                    match QueryKind::ALL.into_iter().find(|kind| Some(kind.name()) == setting.query) {
-                        Some(kind) => {
-                            let culler = CplpQueryCuller::new(scene.clone(), cplp.clone(), budget, kind);
-                            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp, budget, query: kind })
-                        }
-                        None => {
-                            let culler = CplpCuller::new(scene.clone(), cplp.clone(), budget);
-                            let query = QueryKind::PerFragmentHistogram;
-                            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp, budget, query })
-                        }
-                    }
-                },
-            },
-            Entry {
-                name: "plp",
-                about: "PLP within a budget by its default rule: cells by how much of them looks covered, not conservative",
-                conservative: false,
-                by_rays: false,
-                tessellations: &[DELAUNAY, OCTREE],
-                queries: &[],
-                budget: Some(PLP_BUDGET),
-                make: |shop, setting| Box::new(WithScratch::new(shop.plp(setting, PlpRules::default()))),
-            },
-            Entry {
-                name: "plp-paper",
-                about: "PLP within a budget by the paper's rule: solidity from counts of triangles, not conservative",
-                conservative: false,
-                by_rays: false,
-                tessellations: &[DELAUNAY, OCTREE],
-                queries: &[],
-                budget: Some(PLP_BUDGET),
-                make: |shop, setting| Box::new(WithScratch::new(shop.plp(setting, PlpRules::paper()))),
-            },
-            Entry {
-                name: "centroid",
-                about: "the nearest triangles of the scene up to a budget, then culled: PLP's baseline, not conservative",
-                conservative: false,
-                by_rays: false,
-                tessellations: &[],
-                queries: &[],
-                budget: Some(PLP_BUDGET),
-                make: |shop, setting| {
-                    let budget = shop.budget(setting);
-                    Box::new(WithScratch::new(CentroidOrder::new(shop.scene(), budget, false)))
-                },
-            },
-            Entry {
-                name: "centroid-culled",
-                about: "the same with culling first, so that only what is in view and not turned away counts",
-                conservative: false,
-                by_rays: false,
-                tessellations: &[],
-                queries: &[],
-                budget: Some(PLP_BUDGET),
-                make: |shop, setting| {
-                    let budget = shop.budget(setting);
-                    Box::new(WithScratch::new(CentroidOrder::new(shop.scene(), budget, true)))
-                },
-            },
-            Entry {
-                name: "query-front-to-back",
-                about: "cells in view by distance, one query each: the paper's HP baseline",
-                conservative: true,
-                by_rays: false,
-                tessellations: &[OCTREE, KD_TREE],
-                queries: &["sampled"],
-                budget: None,
-                make: |shop, setting| {
-                    let tessellation = shop.tessellation(setting);
-                    Box::new(WithScratch::new(QueryFrontToBack::new(shop.scene(), tessellation)))
-                },
-            },
-            Entry {
-                name: "hierarchical-z",
-                about: "an octree against a pyramid of farthest depths (Greene)",
-                conservative: true,
-                by_rays: false,
-                tessellations: &[OCTREE],
-                queries: &["pyramid"],
-                budget: None,
-                make: |shop, _| {
-                    let octree = shop.octree();
-                    Box::new(WithScratch::new(HierarchicalZ::new(shop.scene(), octree)))
-                },
-            },
-            Entry {
-                name: "region",
-                about: "for every eye of a ball and every resolution: under-estimating coverage with supporting planes",
-                conservative: true,
-                by_rays: true,
-                tessellations: &[KD_TREE, OCTREE],
-                queries: &["under"],
-                budget: None,
-                make: |shop, setting| {
-                    let (cplp, occluders) = (shop.cplp(setting), shop.occluders());
-                    Box::new(WithScratch::new(RegionCuller::new(shop.scene(), cplp, occluders, REGION_PIXELS)))
-                },
-            },
-        ])
+        Registry(entries::standard())
     }
 
     /// With one culler more, which replaces one of the same name.
@@ -530,10 +169,12 @@ impl Registry {
         let mut settings = Vec::new();
         for culler in &cullers {
             let Some(entry) = self.entry(culler) else { continue };
-            let budgets: Vec<Option<AskedBudget>> = match (entry.budget, sweep.budgets.is_empty()) {
+            let budgets: Vec<Option<AskedBudget>> = match (entry.budget.default(), sweep.budgets.is_empty()) {
                 (None, _) => vec![None],
                 (Some(default), true) => vec![default.parse().ok()],
-                (Some(_), false) => sweep.budgets.iter().cloned().map(Some).collect(),
+                (Some(_), false) => {
+                    sweep.budgets.iter().filter(|budget| entry.budget.can(budget)).cloned().map(Some).collect()
+                }
             };
             for &tessellation in &choices(entry.tessellations, tessellations.as_deref()) {
                 for &query in &choices(entry.queries, queries.as_deref()) {
@@ -613,6 +254,7 @@ mod tests {
             "centroid-culled · 10%",
             "query-front-to-back · octree · sampled",
             "hierarchical-z · octree · pyramid",
+            "hierarchical-z-plp · octree · pyramid · 4000",
             "region · octree · under",
         ];
         assert_eq!(labels(&registry, &sweep(&["all"], &[], &[], &[])), best);
@@ -632,6 +274,23 @@ mod tests {
     }
 
     #[test]
+    fn each_culler_takes_the_budgets_that_it_can_use() {
+        let budgets = ["5%", "2x", "auto", "4ms"].map(|text| text.parse().unwrap()).to_vec();
+        let sweep = Sweep { budgets, ..sweep(&["cplp", "plp", "centroid", "zbuffer"], &[], &[], &[]) };
+        let expected = [
+            "cplp · octree · sampled · 5%",
+            "plp · delaunay · 5%",
+            "plp · delaunay · 2x",
+            "plp · delaunay · auto",
+            "plp · delaunay · 4ms",
+            "centroid · 5%",
+            "centroid · 2x",
+            "zbuffer",
+        ];
+        assert_eq!(labels(&Registry::standard(), &sweep), expected);
+    }
+
+    #[test]
     fn unknown_names_are_refused_with_the_known_ones() {
         let registry = Registry::standard();
         let message = |sweep: &Sweep| registry.settings(sweep).unwrap_err().to_string();
@@ -643,10 +302,13 @@ mod tests {
         );
         assert!(
             message(&sweep(&[], &["bsp"], &[], &[]))
-                .contains("no tessellation `bsp`; known: delaunay, kd-tree, octree")
+                .contains("no tessellation `bsp`; known: delaunay, fine-octree, kd-tree, octree")
         );
         assert!(message(&sweep(&[], &[], &["gpu"], &[])).contains("no query `gpu`; known: histogram, "));
         let other = Entry { name: "other", tessellations: &["slabs"], ..*registry.entry("cplp").unwrap() };
+        let found_on_the_way =
+            Sweep { budgets: vec!["auto".parse().unwrap()], ..sweep(&["cplp", "centroid"], &[], &[], &[]) };
+        assert!(message(&found_on_the_way).contains("--budgets"));
         let error = Registry::standard().with(other).settings(&sweep(&["cplp"], &["slabs"], &[], &[])).unwrap_err();
         assert!(error.to_string().contains("none of the cullers cplp"));
     }

@@ -25,7 +25,7 @@ pub fn report(run: Run, world: &World, outcome: &Outcome, config: &CullConfig) -
         world.scene.triangles().len(),
         world.object_boxes.len()
     ));
-    report.run.notes.extend(world.notes.iter().cloned());
+    report.run.notes.extend(world.notes.iter().chain(&outcome.notes).cloned());
     report.run.notes.push(format!(
         "frame_ms is the mean over views of the median of {} repeats; a max pass ran after each culled frame",
         config.repeats
@@ -74,9 +74,9 @@ pub fn report(run: Run, world: &World, outcome: &Outcome, config: &CullConfig) -
     budgets.sort_unstable();
     budgets.dedup();
     if budgets.len() > 1 {
-        // cPLP's figure 6 and table 3. A logarithm has no 0: a budget of 0 stands at 1.
+        // cPLP's figure 6 and table 3. A logarithm has no 0: a budget of 0 stands at 1. A deadline stands at what it drew.
         let budget = || Axis::log("PLP budget (triangles)");
-        let at = |row: &super::CullRow| row.budget_triangles.unwrap_or(0).max(1) as f64;
+        let at = |row: &super::CullRow| row.budget_triangles.map_or(row.plp_triangles, |budget| budget as f64).max(1.0);
         report.plots.push(by_budget(outcome, "Time to cull and draw over PLP's budget", budget(), "ms", &|row| {
             (at(row), row.total_ms)
         }));

@@ -29,6 +29,8 @@ pub struct CullRow {
     pub visible_found_least: f64,
     pub wrong_percent_max: f64,
     pub churn: f64,
+    pub drawn_churn: f64,
+    pub drawn_churn_p95: f64,
     pub kept: f64,
     pub exact: f64,
     pub kept_over_exact: Option<f64>,
@@ -52,17 +54,27 @@ pub struct CullRow {
     pub frame_ms_p95: f64,
     pub max_pass_ms: f64,
     pub per_max_pass: f64,
+    pub overhead_ms: Option<f64>,
     pub draw_ms: f64,
     pub total_ms: f64,
     pub build_ms: f64,
 }
 
 /// Columns that hold measured times, which no two runs share.
-pub const TIMES: [&str; 8] =
-    ["frame_ms", "frame_ms_median", "frame_ms_p95", "max_pass_ms", "per_max_pass", "draw_ms", "total_ms", "build_ms"];
+pub const TIMES: [&str; 9] = [
+    "frame_ms",
+    "frame_ms_median",
+    "frame_ms_p95",
+    "max_pass_ms",
+    "per_max_pass",
+    "overhead_ms",
+    "draw_ms",
+    "total_ms",
+    "build_ms",
+];
 
 /// The columns of the table on the terminal.
-pub const SHORT: [&str; 17] = [
+pub const SHORT: [&str; 18] = [
     "culler",
     "tessellation",
     "query",
@@ -73,6 +85,7 @@ pub const SHORT: [&str; 17] = [
     "wrong_percent_max",
     "visible_found_mean",
     "visible_found_least",
+    "drawn_churn",
     "lost_visible",
     "kept",
     "exact",
@@ -90,8 +103,12 @@ pub fn columns() -> Vec<Column> {
         column("culler", "", "which culler"),
         column("tessellation", "", "what its cells are, if it has any"),
         column("query", "", "what answers its queries, if it asks any"),
-        column("budget", "", "what PLP may draw by guess, as it was given: triangles, or a share of the scene's"),
-        column("budget_triangles", "", "the same in triangles"),
+        column(
+            "budget",
+            "",
+            "what PLP may draw by guess, as it was given: triangles, a share of the scene's, a multiple of each view's visible set, a deadline, or auto",
+        ),
+        column("budget_triangles", "", "the same in triangles, mean over views; none for a deadline"),
         column("resolution", "px", "size of the images"),
         column("eye_radius", "m", "radius of the ball of eyes that the visible set must hold for"),
         column("eyes", "", "eyes of the ball that the exact set was computed for, its middle included"),
@@ -119,6 +136,8 @@ pub fn columns() -> Vec<Column> {
             "",
             "share of what a view shows of its exact set that the view before did not show, mean: popping",
         ),
+        column("drawn_churn", "", "share of what a view draws that the view before did not draw, mean"),
+        column("drawn_churn_p95", "", "95th percentile over views of that"),
         column("kept", "", "primitives reported per view, mean"),
         column("exact", "", "primitives of the exact set per view, mean"),
         column("kept_over_exact", "", "kept / exact"),
@@ -170,6 +189,11 @@ pub fn columns() -> Vec<Column> {
             "one f32 max over a buffer of so many pixels, run after each culled frame; mean as frame_ms",
         ),
         column("per_max_pass", "", "frame_ms / max_pass_ms: compares across machines and their moods"),
+        column(
+            "overhead_ms",
+            "ms",
+            "frame_ms less what frustum-backface, if it runs too, takes for as many triangles as were kept",
+        ),
         column("draw_ms", "ms", "drawing the visible set into the item buffer, mean"),
         column("total_ms", "ms", "frame_ms + draw_ms"),
         column("build_ms", "ms", "making the culler, cells included; what settings share is paid by the first"),

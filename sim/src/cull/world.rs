@@ -19,7 +19,9 @@ use crate::scene::engine::{self, EngineRules};
 use crate::scene::office::{self, OfficeRules};
 use crate::scene::plan::{Rect, RoomPlan, RoomsRules};
 use crate::scene::rooms;
+use crate::scene::seminar::{self, SeminarRules};
 use crate::scene::tower::{self, TowerRules};
+use crate::scene::vessels::{self, VesselsRules};
 
 /// Eye height above a place that names the feet, metres: FACTS.md's for the maps.
 const MAP_EYE_HEIGHT: f64 = 1.4375;
@@ -75,7 +77,7 @@ pub struct WorldRules {
 }
 
 /// Worlds that can be made instead of read.
-pub const MADE: [&str; 6] = ["building", "city", "engine", "office", "tower", "rooms"];
+pub const MADE: [&str; 8] = ["building", "city", "engine", "office", "seminar", "tower", "vessels", "rooms"];
 
 impl World {
     /// A scene as it is, without places to stand.
@@ -132,6 +134,20 @@ impl World {
                     (rules.scene_seed.unwrap_or(default.seed), rules.views.unwrap_or(default.cameras));
                 let made = engine::make(&EngineRules { seed, cameras, ..default })?;
                 World::made(&made.glb, format!("engine seed {seed}"), Standing::Cameras(made.cameras), rules)
+            }
+            "seminar" => {
+                let default = SeminarRules::default();
+                let (seed, cameras) =
+                    (rules.scene_seed.unwrap_or(default.seed), rules.views.unwrap_or(default.cameras));
+                let made = seminar::make(&SeminarRules { seed, cameras, ..default })?;
+                World::made(&made.glb, format!("seminar seed {seed}"), Standing::Cameras(made.cameras), rules)
+            }
+            "vessels" => {
+                let default = VesselsRules::default();
+                let (seed, cameras) =
+                    (rules.scene_seed.unwrap_or(default.seed), rules.views.unwrap_or(default.cameras));
+                let made = vessels::make(&VesselsRules { seed, cameras, ..default })?;
+                World::made(&made.glb, format!("vessels seed {seed}"), Standing::Cameras(made.cameras), rules)
             }
             "rooms" => World::rooms(rules),
             _ if path.extension().is_none() && !path.exists() => {

@@ -4,7 +4,7 @@
 //! of a run can rebuild what it must know (doors and obstacles for walkers) from the rules alone. [`plan`] decides where
 //! everything is, [`rooms`] gives it walls, furniture and moving chairs, and [`glb`] writes it down. [`building`] is the
 //! same plan at the size of the culling figures, with [`furniture`] to find; [`office`] and [`tower`] are cPLP's two models in
-//! spirit, [`city`] and [`engine`] are PLP's.
+//! spirit, [`city`], [`engine`] and [`seminar`] are PLP's, and [`vessels`] hide nothing.
 
 pub mod building;
 pub mod city;
@@ -16,4 +16,6 @@ pub mod office;
 pub mod patch;
 pub mod plan;
 pub mod rooms;
+pub mod seminar;
 pub mod tower;
+pub mod vessels;

@@ -19,7 +19,7 @@ use super::resolution;
 /// Options of `cull`.
 #[derive(Args)]
 pub struct Cull {
-    /// A .glb or .gltf, or a made world: building, city, engine, office, tower or rooms. Cameras come from NAME.cameras.json beside a file,
+    /// A .glb or .gltf, or a made world: building, city, engine, office, seminar, tower, vessels or rooms. Cameras come from NAME.cameras.json beside a file,
     /// or stand in the rooms of NAME.rooms.json, at the places of NAME.places.json, or on floors found with rays
     #[arg(long, value_name = "FILE|NAME", default_value = "building")]
     world: String,
@@ -36,8 +36,10 @@ pub struct Cull {
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     query: Vec<String>,
 
-    /// Budgets to sweep: what PLP may draw by guess, as triangles or as a share of the scene's [default: cplp 100, others 10%]
-    #[arg(long, value_name = "TRIANGLES|SHARE%", value_delimiter = ',', allow_negative_numbers = true)]
+    /// Budgets to sweep: what PLP may draw by guess [default: cplp 100, hierarchical-z-plp 4000, others 10%]. Triangles (5000), a share of
+    /// the scene's (10%), a multiple of the visible set of each view by itself, in triangles (2x), what the views before show to be worth
+    /// while (auto), or a deadline after which no further cell is drawn (4ms; no two runs draw the same). A culler takes those that it can
+    #[arg(long, value_name = "TRIANGLES|SHARE%|Nx|auto|Nms", value_delimiter = ',', allow_negative_numbers = true)]
     budgets: Vec<AskedBudget>,
 
     /// Sizes of the images to sweep, pixels
@@ -107,6 +109,11 @@ pub const EXAMPLES: &str = "Examples:
   What PLP finds within a budget, of a city and of machines (Klosowski & Silva 2000, table 1):
   eyeline-sim cull --world city --cullers plp,plp-paper,centroid --tessellation all --budgets 1%,2%,5%,10%
   eyeline-sim cull --world engine --cullers plp,centroid --budgets 1%,2%,5%,10%
+  eyeline-sim cull --world city --cullers plp-paper --tessellation octree,fine-octree
+
+  The same by the visible set, by an automatic budget and by a deadline; what guessing costs beyond the frustum (overhead_ms):
+  eyeline-sim cull --world oa_dm2.glb --cullers plp,centroid --budgets 1x,2x,4x
+  eyeline-sim cull --world vessels --cullers frustum-backface,plp --budgets auto,4ms
 
   The same views again:
   eyeline-sim cull --world rooms.glb --views 50 --record walk.json

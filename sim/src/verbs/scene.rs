@@ -10,7 +10,9 @@ use eyeline_sim::scene::made::MadeModel;
 use eyeline_sim::scene::office::{self, OfficeRules};
 use eyeline_sim::scene::plan::RoomsRules;
 use eyeline_sim::scene::rooms;
+use eyeline_sim::scene::seminar::{self, SeminarRules};
 use eyeline_sim::scene::tower::{self, TowerRules};
+use eyeline_sim::scene::vessels::{self, VesselsRules};
 
 /// The makers.
 #[derive(Subcommand)]
@@ -25,8 +27,12 @@ pub enum Scene {
     City(City),
     /// Five machines of dense parts, with a path around them: about 810,000 triangles
     Engine(Engine),
+    /// One room full of chairs, with a path along and over them: about 45,000 triangles
+    Seminar(Seminar),
     /// 54 storeys around an atrium: about a million triangles in front of each other
     Tower(Tower),
+    /// A tree of tubes that hide nearly nothing, with a path around it: about 420,000 triangles
+    Vessels(Vessels),
 }
 
 /// Rules of `rooms`. The maker checks them, and names what is wrong.
@@ -189,6 +195,50 @@ pub struct Engine {
     out: PathBuf,
 }
 
+/// Rules of `seminar`.
+#[derive(Args)]
+pub struct Seminar {
+    /// Chairs in a row
+    #[arg(long, value_name = "N", default_value_t = SeminarRules::default().columns)]
+    columns: u32,
+
+    /// Rows of chairs
+    #[arg(long, value_name = "N", default_value_t = SeminarRules::default().rows)]
+    rows: u32,
+
+    /// Views of the path
+    #[arg(long, value_name = "N", default_value_t = SeminarRules::default().cameras)]
+    cameras: u32,
+
+    /// Decides how chairs are left; the same seed gives the same bytes
+    #[arg(long, value_name = "N", default_value_t = SeminarRules::default().seed)]
+    seed: u64,
+
+    /// Where to write the model; NAME.cameras.json is written beside it
+    #[arg(long, value_name = "FILE.glb")]
+    out: PathBuf,
+}
+
+/// Rules of `vessels`.
+#[derive(Args)]
+pub struct Vessels {
+    /// Generations of vessels, each of twice as many
+    #[arg(long, value_name = "N", default_value_t = VesselsRules::default().levels)]
+    levels: u32,
+
+    /// Views of the path
+    #[arg(long, value_name = "N", default_value_t = VesselsRules::default().cameras)]
+    cameras: u32,
+
+    /// Decides bends and forks; the same seed gives the same bytes
+    #[arg(long, value_name = "N", default_value_t = VesselsRules::default().seed)]
+    seed: u64,
+
+    /// Where to write the model; NAME.cameras.json is written beside it
+    #[arg(long, value_name = "FILE.glb")]
+    out: PathBuf,
+}
+
 pub const EXAMPLES: &str = "Examples:
   eyeline-sim scene rooms --out out/rooms.glb
   eyeline-sim scene rooms --columns 3 --rows 3 --seed 8 --moving-share 1 --out out/small.glb
@@ -198,6 +248,8 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim scene office --out out/office.glb
   eyeline-sim scene city --out out/city.glb
   eyeline-sim scene engine --out out/engine.glb
+  eyeline-sim scene seminar --out out/seminar.glb
+  eyeline-sim scene vessels --levels 9 --out out/vessels.glb
   eyeline-sim scene tower --modules 10 --out out/tower.glb";
 
 /// Makes and writes a scene.
@@ -216,6 +268,14 @@ pub fn run(scene: &Scene) -> anyhow::Result<()> {
         &Scene::Engine(Engine { copies, cameras, seed, ref out }) => {
             check_name(out)?;
             write_made(&engine::make(&EngineRules { copies, cameras, seed })?, out)?
+        }
+        &Scene::Seminar(Seminar { columns, rows, cameras, seed, ref out }) => {
+            check_name(out)?;
+            write_made(&seminar::make(&SeminarRules { columns, rows, cameras, seed })?, out)?
+        }
+        &Scene::Vessels(Vessels { levels, cameras, seed, ref out }) => {
+            check_name(out)?;
+            write_made(&vessels::make(&VesselsRules { levels, cameras, seed })?, out)?
         }
         &Scene::Tower(Tower { modules, cameras, seed, ref out }) => {
             check_name(out)?;
