@@ -205,7 +205,7 @@ pub(super) fn standard() -> Vec<Entry> {
             about: "for every eye of a ball and every resolution: under-estimating coverage with supporting planes",
             conservative: true,
             by_rays: true,
-            tessellations: &[OCTREE, KD_TREE],
+            tessellations: &[KD_TREE, OCTREE],
             queries: &["under"],
             budget: Budgets::None,
             make: |shop, setting| {
