@@ -17,7 +17,7 @@ use eyeline_client::net::{Driver, FrameReport, Pose};
 use eyeline_client::session::Session;
 use eyeline_client::tracking::Ahead;
 use eyeline_protocol::{LocalTime, ObjectId, Orientation, Position};
-use eyeline_visibility::{Aabb, Bound, EyeRegion, Occlusion};
+use eyeline_visibility::{Aabb, Bound, EyeRegion, Occlusion, Open};
 use glam::{DVec2, DVec3};
 
 use crate::motion::WalkerPose;
@@ -54,7 +54,8 @@ struct Columns {
 struct Exposed {
     /// First column of the rectangle along x and z.
     first: (usize, usize),
-    /// Rows of the rectangle along z.
+    /// Columns of the rectangle along x, and rows along z.
+    columns: usize,
     rows: usize,
     /// Words of bits of a row along x.
     words: usize,
@@ -67,28 +68,32 @@ impl Exposed {
         let most = |axis: fn(&(usize, usize)) -> usize| columns.iter().map(axis).max().map_or(0, |most| most + 1);
         let first = (least(|c| c.0), least(|c| c.1));
         let rows = most(|c| c.1) - first.1;
-        let words = (most(|c| c.0) - first.0).div_ceil(64);
+        let width = most(|c| c.0) - first.0;
+        let words = width.div_ceil(64);
         let mut bits = vec![0; words * rows].into_boxed_slice();
         for &(x, z) in columns {
             bits[(z - first.1) * words + (x - first.0) / 64] |= 1 << ((x - first.0) % 64);
         }
-        Exposed { first, rows, words, bits }
+        Exposed { first, columns: width, rows, words, bits }
     }
 
     /// Whether any column of the ranges (ends included) was in sight.
+    #[cfg(test)]
     fn any(&self, x: (usize, usize), z: (usize, usize)) -> bool {
-        if x.1 < self.first.0 || z.1 < self.first.1 || z.0 >= self.first.1 + self.rows {
+        (0..self.rows).filter(|row| (z.0..=z.1).contains(&(self.first.1 + row))).any(|row| self.any_in_row(row, x))
+    }
+
+    /// Whether any column of the range (ends included) was in sight, in this row of the rectangle.
+    fn any_in_row(&self, row: usize, x: (usize, usize)) -> bool {
+        let end = self.first.0 + self.columns;
+        if x.1 < self.first.0 || x.0 >= end {
             return false;
         }
-        let (left, right) = (x.0.saturating_sub(self.first.0), x.1 - self.first.0);
-        let (near, far) = (z.0.saturating_sub(self.first.1), (z.1 - self.first.1).min(self.rows - 1));
-        let mut rows = self.bits[near * self.words..(far + 1) * self.words].chunks_exact(self.words);
-        rows.any(|row| {
-            (left / 64..=(right / 64).min(self.words - 1)).any(|word| {
-                let low = if word == left / 64 { left % 64 } else { 0 };
-                let high = if word == right / 64 { right % 64 } else { 63 };
-                row[word] & (u64::MAX << low) & (u64::MAX >> (63 - high)) != 0
-            })
+        let (left, right) = (x.0.saturating_sub(self.first.0), x.1.min(end - 1) - self.first.0);
+        (left / 64..=right / 64).any(|word| {
+            let low = if word == left / 64 { left % 64 } else { 0 };
+            let high = if word == right / 64 { right % 64 } else { 63 };
+            self.bits[row * self.words + word] & (u64::MAX << low) & (u64::MAX >> (63 - high)) != 0
         })
     }
 }
@@ -142,9 +147,37 @@ impl Columns {
         let from = (aabb.min - self.bounds.min) / self.side - 1e-9;
         let to = (aabb.max - self.bounds.min) / self.side + 1e-9;
         let column = |at: f64, count: usize| (at.max(0.0) as usize).min(count - 1);
-        let x = (column(from.x, self.width), column(to.x, self.width));
-        let z = (column(from.z, self.depth), column(to.z, self.depth));
-        !exposed.any(x, z)
+        let rows = (column(from.z, self.depth), column(to.z, self.depth));
+        let first = rows.0.max(exposed.first.1);
+        let last = rows.1.min((exposed.first.1 + exposed.rows).saturating_sub(1));
+        // From above what is round fills its square to four fifths: of each row only its widest chord there counts.
+        let disc = match *bound {
+            Bound::Upright { centre, radius, .. } | Bound::Sphere { centre, radius } => {
+                let middle = (centre - self.bounds.min) / self.side;
+                Some((middle.x, middle.z, radius / self.side * (1.0 + 1e-9) + 1e-9))
+            }
+            Bound::Box(_) | Bound::Everywhere => None,
+        };
+        !(first..=last).take(exposed.rows).any(|row| {
+            let (left, right) = match disc {
+                Some((x, z, radius)) => {
+                    let off = (row as f64 - z).max(z - (row + 1) as f64).max(0.0);
+                    let half = (radius * radius - off * off).max(0.0).sqrt() + 1e-9;
+                    ((x - half).max(from.x), (x + half).min(to.x))
+                }
+                None => (from.x, to.x),
+            };
+            exposed.any_in_row(row - exposed.first.1, (column(left, self.width), column(right, self.width)))
+        })
+    }
+
+    /// The box around all that was in sight, a hair wider.
+    fn open(&self, exposed: &Exposed) -> Aabb {
+        if exposed.columns == 0 {
+            return Aabb::EMPTY;
+        }
+        let Exposed { first, columns, rows, .. } = *exposed;
+        self.aabb((first.0, first.0 + columns), (first.1, first.1 + rows)).inflated(1e-6)
     }
 }
 
@@ -251,6 +284,11 @@ impl Replayer {
 impl Occlusion for Replayer {
     fn hides(&self, bound: &Bound) -> bool {
         self.ways.columns.hides(&self.seen().exposed, bound)
+    }
+
+    fn open(&self) -> Option<Open> {
+        let columns = &self.ways.columns;
+        Some(Open { open: columns.open(&self.seen().exposed), within: columns.bounds })
     }
 }
 
