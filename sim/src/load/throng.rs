@@ -482,3 +482,6 @@ fn send(udp: &UdpSocketState, socket: &tokio::net::UdpSocket, transmit: &quinn_p
     };
     let _ = udp.send(socket.into(), &transmit);
 }
+
+#[cfg(test)]
+mod tests;

@@ -60,7 +60,12 @@ struct Exposed {
     /// Words of bits of a row along x.
     words: usize,
     bits: Box<[u64]>,
+    /// The same of [`BAND`] rows together: whether any of them has the bit. A large bound is told by these alone.
+    bands: Box<[u64]>,
 }
+
+/// Rows in a band.
+const BAND: usize = 8;
 
 impl Exposed {
     fn of(columns: &[(usize, usize)]) -> Exposed {
@@ -74,7 +79,11 @@ impl Exposed {
         for &(x, z) in columns {
             bits[(z - first.1) * words + (x - first.0) / 64] |= 1 << ((x - first.0) % 64);
         }
-        Exposed { first, columns: width, rows, words, bits }
+        let mut bands = vec![0; words * rows.div_ceil(BAND)].into_boxed_slice();
+        for (at, word) in bits.iter().enumerate() {
+            bands[at / words / BAND * words + at % words] |= word;
+        }
+        Exposed { first, columns: width, rows, words, bits, bands }
     }
 
     /// Whether any column of the ranges (ends included) was in sight.
@@ -85,6 +94,15 @@ impl Exposed {
 
     /// Whether any column of the range (ends included) was in sight, in this row of the rectangle.
     fn any_in_row(&self, row: usize, x: (usize, usize)) -> bool {
+        self.any_in(&self.bits[row * self.words..][..self.words], x)
+    }
+
+    /// The same of all rows of a band.
+    fn any_in_band(&self, band: usize, x: (usize, usize)) -> bool {
+        self.any_in(&self.bands[band * self.words..][..self.words], x)
+    }
+
+    fn any_in(&self, bits: &[u64], x: (usize, usize)) -> bool {
         let end = self.first.0 + self.columns;
         if x.1 < self.first.0 || x.0 >= end {
             return false;
@@ -93,7 +111,7 @@ impl Exposed {
         (left / 64..=right / 64).any(|word| {
             let low = if word == left / 64 { left % 64 } else { 0 };
             let high = if word == right / 64 { right % 64 } else { 63 };
-            self.bits[row * self.words + word] & (u64::MAX << low) & (u64::MAX >> (63 - high)) != 0
+            bits[word] & (u64::MAX << low) & (u64::MAX >> (63 - high)) != 0
         })
     }
 }
@@ -147,27 +165,36 @@ impl Columns {
         let from = (aabb.min - self.bounds.min) / self.side - 1e-9;
         let to = (aabb.max - self.bounds.min) / self.side + 1e-9;
         let column = |at: f64, count: usize| (at.max(0.0) as usize).min(count - 1);
-        let rows = (column(from.z, self.depth), column(to.z, self.depth));
-        let first = rows.0.max(exposed.first.1);
-        let last = rows.1.min((exposed.first.1 + exposed.rows).saturating_sub(1));
-        // From above what is round fills its square to four fifths: of each row only its widest chord there counts.
+        let (near, far) = (column(from.z, self.depth), column(to.z, self.depth));
+        let end = exposed.first.1 + exposed.rows;
+        if exposed.rows == 0 || far < exposed.first.1 || near >= end {
+            return true;
+        }
+        let rows = near.max(exposed.first.1) - exposed.first.1..(far + 1).min(end) - exposed.first.1;
+        // From above what is round fills its square to four fifths: of rows only its widest chord there counts.
         let disc = match *bound {
             Bound::Upright { centre, radius, .. } | Bound::Sphere { centre, radius } => {
                 let middle = (centre - self.bounds.min) / self.side;
-                Some((middle.x, middle.z, radius / self.side * (1.0 + 1e-9) + 1e-9))
+                Some((middle.x, middle.z - exposed.first.1 as f64, radius / self.side * (1.0 + 1e-9) + 1e-9))
             }
             Bound::Box(_) | Bound::Everywhere => None,
         };
-        !(first..=last).take(exposed.rows).any(|row| {
+        // Columns that it touches in rows `first` to `end` of the rectangle, at most.
+        let chord = |first: usize, end: usize| {
             let (left, right) = match disc {
                 Some((x, z, radius)) => {
-                    let off = (row as f64 - z).max(z - (row + 1) as f64).max(0.0);
+                    let off = (first as f64 - z).max(z - end as f64).max(0.0);
                     let half = (radius * radius - off * off).max(0.0).sqrt() + 1e-9;
                     ((x - half).max(from.x), (x + half).min(to.x))
                 }
                 None => (from.x, to.x),
             };
-            exposed.any_in_row(row - exposed.first.1, (column(left, self.width), column(right, self.width)))
+            (column(left, self.width), column(right, self.width))
+        };
+        !(rows.start / BAND..rows.end.div_ceil(BAND)).any(|band| {
+            let own = rows.start.max(band * BAND)..rows.end.min((band + 1) * BAND);
+            exposed.any_in_band(band, chord(own.start, own.end))
+                && own.into_iter().any(|row| exposed.any_in_row(row, chord(row, row + 1)))
         })
     }
 
@@ -240,7 +267,11 @@ impl Ways {
 
     /// Bytes of the record.
     pub fn bytes(&self) -> usize {
-        self.ways.iter().flatten().map(|seen| size_of::<Seen>() + 8 * seen.exposed.bits.len()).sum()
+        self.ways
+            .iter()
+            .flatten()
+            .map(|seen| size_of::<Seen>() + 8 * (seen.exposed.bits.len() + seen.exposed.bands.len()))
+            .sum()
     }
 }
 

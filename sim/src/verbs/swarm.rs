@@ -1,4 +1,4 @@
-//! `swarm`: many people in one process, each with a client of their own, all on one socket.
+//! `swarm`: many people in one process, each with a client of their own.
 
 // This is a driver: it may read the clock.
 #![expect(clippy::disallowed_methods)]
