@@ -127,7 +127,10 @@ impl Link {
             self.unwritten.extend(bytes);
         }
         self.write();
-        self.send_datagrams(|limit| session.poll_datagram(limit, now));
+        // Who comes back has much to say already, but nobody listens before hello is answered.
+        if !session.is_waiting() {
+            self.send_datagrams(|limit| session.poll_datagram(limit, now));
+        }
     }
 
     fn write(&mut self) {
