@@ -670,10 +670,10 @@ impl Tracker {
     fn settle(&mut self, object: ObjectId, occlusion: &dyn Occlusion) {
         // It stays in T and Q until it moves there, or is asked for: T then moves it under the least common ancestor only.
         let Some(entry) = self.entries.get_mut(&object) else { return };
-        let Belief::Hidden(tbv) = entry.belief else { return };
-        if entry.ask.is_some() {
-            return;
-        }
+        let tbv = match entry.belief {
+            Belief::Hidden(tbv) if entry.ask.is_none() => tbv,
+            _ => return self.leave_t_and_q(object),
+        };
         let horizon = self.horizon;
         let class = &self.classes[entry.class];
         let frame_micros = self.config.frame.as_micros() as i64;
