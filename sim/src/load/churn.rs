@@ -30,7 +30,7 @@ impl Churn {
     }
 
     /// For how long to stay, and what to do then.
-    pub fn next(&mut self) -> (Duration, Change) {
+    pub fn upcoming(&mut self) -> (Duration, Change) {
         let stay_s = self.chance.random_range(0.0..2.0 * self.mean_s);
         let change = [Change::Rejoin, Change::Resume, Change::Teleport][self.chance.random_range(0..3)];
         (Duration::from_secs_f64(stay_s), change)
@@ -46,7 +46,7 @@ mod tests {
         let (mut passed, mut counts) = (0.0, [0; 3]);
         let mut churn = Churn::new(2.0, 7, 3, 12).unwrap();
         for _ in 0..3000 {
-            let (stay, change) = churn.next();
+            let (stay, change) = churn.upcoming();
             passed += stay.as_secs_f64();
             counts[change as usize] += 1;
         }

@@ -7,7 +7,7 @@
 //! settings of [`eyeline_client::net`], and real sessions with trackers of their own. All share one socket.
 
 // This is a driver: it may read the clock and own sockets.
-#![expect(clippy::disallowed_methods, clippy::disallowed_types)]
+#![expect(clippy::disallowed_methods)]
 
 mod link;
 
@@ -345,7 +345,7 @@ impl Throng {
             let mut due = self.rules.begin + self.rules.period.mul_f64(share);
             let late = passed.since(due).as_secs_f64() / self.rules.period.as_secs_f64();
             due = due + self.rules.period.mul_f64(late.ceil());
-            member.change = member.churn.as_mut().map(Churn::next).map(|(stay, change)| (passed + stay, change));
+            member.change = member.churn.as_mut().map(Churn::upcoming).map(|(stay, change)| (passed + stay, change));
             self.due.push(Reverse((due, number)));
         }
         let link = self.links[handle].as_mut().expect("looked at above");
@@ -442,7 +442,7 @@ impl Throng {
                 let Recruit { player, .. } = (self.recruiter)(self.rules.first + number, turn);
                 let member = &mut self.members[number];
                 member.player = player;
-                member.change = member.churn.as_mut().map(Churn::next).map(|(stay, change)| (due + stay, change));
+                member.change = member.churn.as_mut().map(Churn::upcoming).map(|(stay, change)| (due + stay, change));
                 self.due.push(Reverse((due, number)));
                 Ok(())
             }
