@@ -390,8 +390,15 @@ pub fn quic_config(trust: impl Into<Trust>) -> Result<quinn::ClientConfig, NetEr
     Ok(config)
 }
 
+/// After how many packets at the latest the server acknowledges them, unless it has something to send.
+const ACKS_AFTER: u32 = 9;
+
 fn transport() -> quinn::TransportConfig {
     let mut transport = quinn::TransportConfig::default();
+    // Each packet costs its ends as much as what it carries. By default every second one is acknowledged by another at once,
+    // though one that goes anyway will do: frames and ticks come sooner than anything here is given up for lost.
+    let mut acks = quinn::AckFrequencyConfig::default();
+    acks.ack_eliciting_threshold(ACKS_AFTER.into());
     transport
         .max_concurrent_bidi_streams(0u32.into())
         .max_concurrent_uni_streams(2u32.into())
@@ -399,6 +406,7 @@ fn transport() -> quinn::TransportConfig {
         .keep_alive_interval(Some(Duration::from_secs(4)))
         .datagram_receive_buffer_size(Some(256 * 1024))
         .datagram_send_buffer_size(16 * 1024)
+        .ack_frequency_config(Some(acks))
         .mtu_discovery_config(None);
     transport
 }

@@ -88,7 +88,7 @@ impl Trust {
     }
 
     /// The name that the handshake asks for. Who is pinned may have any.
-    pub(super) fn name(&self) -> &str {
+    pub fn name(&self) -> &str {
         match self {
             Trust::Pinned(_) => "eyeline",
             Trust::Signed { name, .. } => name,

@@ -9,6 +9,7 @@ use eyeline_protocol::{
 };
 use eyeline_visibility::{Bound, DynamicIndex, Occlusion};
 use glam::DVec3;
+use rustc_hash::FxHashMap;
 
 use super::dead_reckoning;
 use super::{Ahead, BeliefKind, Decision, ExpiryQueue, Explanation, Growth, Sabotage, TrackerConfig, TrackerStats};
@@ -109,8 +110,9 @@ pub struct Tracker {
     /// How far what is drawn may be from the truth without a word from the server, metres.
     tolerance: f64,
     classes: Vec<Class>,
-    /// D.
-    entries: BTreeMap<ObjectId, Entry>,
+    /// D. Every step of a frame looks things up here, and of a thousand clients' beliefs none is in a cache: a search through a
+    /// tree would wait for memory at each of its levels. Nothing may depend on its order.
+    entries: FxHashMap<ObjectId, Entry>,
     /// T.
     index: Box<dyn DynamicIndex + Send>,
     /// Q. Exact, since a stage that ends earlier than was said would be tested earlier than was said.
@@ -164,7 +166,7 @@ impl Tracker {
             blur,
             tolerance: 0.0,
             classes,
-            entries: BTreeMap::new(),
+            entries: FxHashMap::default(),
             index,
             queue: ExpiryQueue::new(Duration::ZERO),
             visible: BTreeSet::new(),
@@ -202,7 +204,7 @@ impl Tracker {
     /// at the next frame.
     pub fn use_index(&mut self, index: Box<dyn DynamicIndex + Send>) {
         self.index = index;
-        let held: Vec<(ObjectId, Tbv)> = self
+        let mut held: Vec<(ObjectId, Tbv)> = self
             .entries
             .iter()
             .filter_map(|(&object, entry)| match entry.belief {
@@ -210,6 +212,7 @@ impl Tracker {
                 _ => None,
             })
             .collect();
+        held.sort_unstable_by_key(|&(object, _)| object);
         for (object, tbv) in held {
             self.hold(object, tbv);
         }
@@ -665,12 +668,12 @@ impl Tracker {
     /// Finds the longest stage for which a held bound is hidden and puts it into T and Q so; asks if it is exposed
     /// even as it is now, or has expired.
     fn settle(&mut self, object: ObjectId, occlusion: &dyn Occlusion) {
-        self.leave_t_and_q(object);
+        // It stays in T and Q until it moves there, or is asked for: T then moves it under the least common ancestor only.
         let Some(entry) = self.entries.get_mut(&object) else { return };
-        let Belief::Hidden(tbv) = entry.belief else { return };
-        if entry.ask.is_some() {
-            return;
-        }
+        let tbv = match entry.belief {
+            Belief::Hidden(tbv) if entry.ask.is_none() => tbv,
+            _ => return self.leave_t_and_q(object),
+        };
         let horizon = self.horizon;
         let class = &self.classes[entry.class];
         let frame_micros = self.config.frame.as_micros() as i64;

@@ -1,6 +1,6 @@
 //! What a static culler leaves behind for moving things, and the structure that holds them.
 
-use crate::Bound;
+use crate::{Aabb, Bound};
 
 /// Says whether a bound is hidden by the static scene, as seen from the eye region that it was made for.
 pub trait Occlusion {
@@ -13,6 +13,20 @@ pub trait Occlusion {
     fn hides_group(&self, around: &Bound) -> bool {
         self.hides(around)
     }
+
+    /// Outside of which box everything is hidden, if that is known: what does not touch it need not be asked about.
+    fn open(&self) -> Option<Open> {
+        None
+    }
+}
+
+/// What an occlusion knows at once: a bound that lies in `within` and does not touch `open`, seen from above, is hidden.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Open {
+    /// Around all that may be seen; empty if nothing may.
+    pub open: Aabb,
+    /// Around all that is known.
+    pub within: Aabb,
 }
 
 /// The dynamic half of S&G's structure T: holds one bound per key, and walks them against an occlusion without
@@ -43,10 +57,10 @@ pub trait Target {
     fn draw(&mut self, primitives: &[u32]);
     /// Whether any point of the box may be seen past what was drawn so far: in the view, and not certainly behind.
     /// Rounds outward: doubt is `true`. A box that touches the eye or the near plane is visible.
-    fn sees(&self, aabb: &crate::Aabb) -> bool;
+    fn sees(&self, aabb: &Aabb) -> bool;
     /// Whether any point of the box may be in the view at all, whatever was drawn: the cheap half of [`Target::sees`],
     /// for cells that are drawn by guess. Rounds outward too. A target that looks all round keeps this default.
-    fn in_view(&self, aabb: &crate::Aabb) -> bool {
+    fn in_view(&self, aabb: &Aabb) -> bool {
         let _ = aabb;
         true
     }

@@ -29,11 +29,18 @@ pub fn quic_config(identity: Identity) -> Result<quinn::ServerConfig, ServeError
     Ok(config)
 }
 
+/// After how many packets at the latest a client acknowledges them, unless it has something to send.
+const ACKS_AFTER: u32 = 9;
+
 /// Few streams and small windows: a connection's memory is what limits a server of thousands (FACTS: stream limits of
 /// 8 instead of 100 save a fifth, MTU discovery off halves the handshake). The datagram buffer holds two ticks of a busy
 /// client, so that it can't hide seconds of stale poses.
 fn transport() -> quinn::TransportConfig {
     let mut transport = quinn::TransportConfig::default();
+    // Packets are what a server of thousands pays for. By default every second one is acknowledged by another at once, though a
+    // client's next frame would do.
+    let mut acks = quinn::AckFrequencyConfig::default();
+    acks.ack_eliciting_threshold(ACKS_AFTER.into());
     transport
         .max_concurrent_bidi_streams(1u32.into())
         .max_concurrent_uni_streams(0u32.into())
@@ -44,6 +51,7 @@ fn transport() -> quinn::TransportConfig {
         .stream_receive_window(quinn::VarInt::from_u32(128 * 1024))
         .receive_window(quinn::VarInt::from_u32(256 * 1024))
         .send_window(1 << 20)
+        .ack_frequency_config(Some(acks))
         .mtu_discovery_config(None);
     transport
 }

@@ -34,6 +34,8 @@ pub(super) struct Peer {
     queued_at: Option<WorldTime>,
     /// The room in QUIC's buffer when nothing waits: quinn keeps some of it for itself.
     empty_space: usize,
+    /// Congestion window and round trip, and when QUIC said so: it copies all its counters to say anything.
+    path: Option<(WorldTime, u64, Duration)>,
     /// Whether it was closed since it does not read; its task will notice.
     is_closed: bool,
 }
@@ -41,7 +43,15 @@ pub(super) struct Peer {
 impl Peer {
     pub fn new(connection: quinn::Connection, control: mpsc::Sender<Outgoing>) -> Peer {
         let empty_space = connection.datagram_send_buffer_space();
-        Peer { connection, control, waiting: Arc::default(), queued_at: None, empty_space, is_closed: false }
+        Peer {
+            connection,
+            control,
+            waiting: Arc::default(),
+            queued_at: None,
+            empty_space,
+            path: None,
+            is_closed: false,
+        }
     }
 
     /// How many bytes of datagrams QUIC will have sent a tick from now if it gets them now.
@@ -50,9 +60,15 @@ impl Peer {
         if queued_bytes == 0 {
             self.queued_at = None;
         }
-        let path = self.connection.stats().path;
+        let (_, window_bytes, round_trip) = match self.path.filter(|&(at, ..)| now.since(at) < tick / 2) {
+            Some(path) => path,
+            None => {
+                let path = self.connection.stats().path;
+                *self.path.insert((now, path.cwnd, path.rtt))
+            }
+        };
         let waited = self.queued_at.map(|at| now.since(at));
-        room(PathState { waited, queued_bytes, window_bytes: path.cwnd, round_trip: path.rtt }, tick)
+        room(PathState { waited, queued_bytes, window_bytes, round_trip }, tick)
     }
 }
 

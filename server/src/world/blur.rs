@@ -73,7 +73,8 @@ pub(super) struct Known {
     pub at: WorldTime,
     pub issue: Issue,
     /// The bound that was told last since then.
-    bound: Option<Tbv>,
+    /// Most have none, and a client may know a place of every object.
+    bound: Option<Box<Tbv>>,
 }
 
 impl Known {
@@ -103,7 +104,7 @@ impl Known {
         let judged = if fresh.speed > 0.0 { growth } else { growth.max(blur) };
         let distance = self.place.metres().distance(fresh.centre.metres());
         if common_radius(distance, judged, fresh.radius) >= judged.min(blur) {
-            self.bound = Some(fresh);
+            self.bound = Some(Box::new(fresh));
             return fresh;
         }
         match &self.bound {

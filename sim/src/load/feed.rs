@@ -11,13 +11,13 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use eyeline_client::net::{Driver, FrameReport};
-use eyeline_client::session::{Session, SessionConfig};
+use eyeline_client::session::{IndexMaker, Session, SessionConfig};
 use eyeline_client::tracking::TrackerConfig;
 use eyeline_protocol::codec::ControlReader;
 use eyeline_protocol::{LocalTime, WorldTime};
 use eyeline_server::policy::PolicySettings;
 use eyeline_server::world::{SessionId, Transmit, World, WorldConfig};
-use eyeline_visibility::DynamicOctree;
+use eyeline_visibility::{DynamicOctree, FlatIndex};
 
 use super::ways::{Replayer, WayRules, Ways};
 use crate::people::Person;
@@ -157,12 +157,14 @@ impl Feed {
                 let index = joined as usize;
                 let tracker = TrackerConfig::default().with_frame(period);
                 let config = SessionConfig::default().with_tracker(tracker);
-                let session = Session::new(config, Box::new(move || Box::new(DynamicOctree::new(bounds))));
-                let driver: Box<dyn Driver> = if joined < rules.culling {
-                    Box::new(Person::on(&stage.ground(), rules.ways.seed, index, rules.ways.side, None))
+                let (index_maker, driver): (IndexMaker, Box<dyn Driver>) = if joined < rules.culling {
+                    let person = Person::on(&stage.ground(), rules.ways.seed, index, rules.ways.side, None);
+                    (Box::new(move || Box::new(DynamicOctree::new(bounds))), Box::new(person))
                 } else {
-                    Box::new(Replayer::new(ways.clone(), index, rules.clients as usize, None))
+                    let replayer = Replayer::new(ways.clone(), index, rules.clients as usize, None);
+                    (Box::new(|| Box::new(FlatIndex::default())), Box::new(replayer))
                 };
+                let session = Session::new(config, index_maker);
                 recorder.join(session, driver, at);
                 joined += 1;
             }

@@ -17,7 +17,7 @@ use eyeline_client::net::{Driver, FrameReport, Pose};
 use eyeline_client::session::Session;
 use eyeline_client::tracking::Ahead;
 use eyeline_protocol::{LocalTime, ObjectId, Orientation, Position};
-use eyeline_visibility::{Aabb, Bound, EyeRegion, Occlusion};
+use eyeline_visibility::{Aabb, Bound, EyeRegion, Occlusion, Open};
 use glam::{DVec2, DVec3};
 
 use crate::motion::WalkerPose;
@@ -54,12 +54,18 @@ struct Columns {
 struct Exposed {
     /// First column of the rectangle along x and z.
     first: (usize, usize),
-    /// Rows of the rectangle along z.
+    /// Columns of the rectangle along x, and rows along z.
+    columns: usize,
     rows: usize,
     /// Words of bits of a row along x.
     words: usize,
     bits: Box<[u64]>,
+    /// The same of [`BAND`] rows together: whether any of them has the bit. A large bound is told by these alone.
+    bands: Box<[u64]>,
 }
+
+/// Rows in a band.
+const BAND: usize = 8;
 
 impl Exposed {
     fn of(columns: &[(usize, usize)]) -> Exposed {
@@ -67,28 +73,45 @@ impl Exposed {
         let most = |axis: fn(&(usize, usize)) -> usize| columns.iter().map(axis).max().map_or(0, |most| most + 1);
         let first = (least(|c| c.0), least(|c| c.1));
         let rows = most(|c| c.1) - first.1;
-        let words = (most(|c| c.0) - first.0).div_ceil(64);
+        let width = most(|c| c.0) - first.0;
+        let words = width.div_ceil(64);
         let mut bits = vec![0; words * rows].into_boxed_slice();
         for &(x, z) in columns {
             bits[(z - first.1) * words + (x - first.0) / 64] |= 1 << ((x - first.0) % 64);
         }
-        Exposed { first, rows, words, bits }
+        let mut bands = vec![0; words * rows.div_ceil(BAND)].into_boxed_slice();
+        for (at, word) in bits.iter().enumerate() {
+            bands[at / words / BAND * words + at % words] |= word;
+        }
+        Exposed { first, columns: width, rows, words, bits, bands }
     }
 
     /// Whether any column of the ranges (ends included) was in sight.
+    #[cfg(test)]
     fn any(&self, x: (usize, usize), z: (usize, usize)) -> bool {
-        if x.1 < self.first.0 || z.1 < self.first.1 || z.0 >= self.first.1 + self.rows {
+        (0..self.rows).filter(|row| (z.0..=z.1).contains(&(self.first.1 + row))).any(|row| self.any_in_row(row, x))
+    }
+
+    /// Whether any column of the range (ends included) was in sight, in this row of the rectangle.
+    fn any_in_row(&self, row: usize, x: (usize, usize)) -> bool {
+        self.any_in(&self.bits[row * self.words..][..self.words], x)
+    }
+
+    /// The same of all rows of a band.
+    fn any_in_band(&self, band: usize, x: (usize, usize)) -> bool {
+        self.any_in(&self.bands[band * self.words..][..self.words], x)
+    }
+
+    fn any_in(&self, bits: &[u64], x: (usize, usize)) -> bool {
+        let end = self.first.0 + self.columns;
+        if x.1 < self.first.0 || x.0 >= end {
             return false;
         }
-        let (left, right) = (x.0.saturating_sub(self.first.0), x.1 - self.first.0);
-        let (near, far) = (z.0.saturating_sub(self.first.1), (z.1 - self.first.1).min(self.rows - 1));
-        let mut rows = self.bits[near * self.words..(far + 1) * self.words].chunks_exact(self.words);
-        rows.any(|row| {
-            (left / 64..=(right / 64).min(self.words - 1)).any(|word| {
-                let low = if word == left / 64 { left % 64 } else { 0 };
-                let high = if word == right / 64 { right % 64 } else { 63 };
-                row[word] & (u64::MAX << low) & (u64::MAX >> (63 - high)) != 0
-            })
+        let (left, right) = (x.0.saturating_sub(self.first.0), x.1.min(end - 1) - self.first.0);
+        (left / 64..=right / 64).any(|word| {
+            let low = if word == left / 64 { left % 64 } else { 0 };
+            let high = if word == right / 64 { right % 64 } else { 63 };
+            bits[word] & (u64::MAX << low) & (u64::MAX >> (63 - high)) != 0
         })
     }
 }
@@ -142,9 +165,46 @@ impl Columns {
         let from = (aabb.min - self.bounds.min) / self.side - 1e-9;
         let to = (aabb.max - self.bounds.min) / self.side + 1e-9;
         let column = |at: f64, count: usize| (at.max(0.0) as usize).min(count - 1);
-        let x = (column(from.x, self.width), column(to.x, self.width));
-        let z = (column(from.z, self.depth), column(to.z, self.depth));
-        !exposed.any(x, z)
+        let (near, far) = (column(from.z, self.depth), column(to.z, self.depth));
+        let end = exposed.first.1 + exposed.rows;
+        if exposed.rows == 0 || far < exposed.first.1 || near >= end {
+            return true;
+        }
+        let rows = near.max(exposed.first.1) - exposed.first.1..(far + 1).min(end) - exposed.first.1;
+        // From above what is round fills its square to four fifths: of rows only its widest chord there counts.
+        let disc = match *bound {
+            Bound::Upright { centre, radius, .. } | Bound::Sphere { centre, radius } => {
+                let middle = (centre - self.bounds.min) / self.side;
+                Some((middle.x, middle.z - exposed.first.1 as f64, radius / self.side * (1.0 + 1e-9) + 1e-9))
+            }
+            Bound::Box(_) | Bound::Everywhere => None,
+        };
+        // Columns that it touches in rows `first` to `end` of the rectangle, at most.
+        let chord = |first: usize, end: usize| {
+            let (left, right) = match disc {
+                Some((x, z, radius)) => {
+                    let off = (first as f64 - z).max(z - end as f64).max(0.0);
+                    let half = (radius * radius - off * off).max(0.0).sqrt() + 1e-9;
+                    ((x - half).max(from.x), (x + half).min(to.x))
+                }
+                None => (from.x, to.x),
+            };
+            (column(left, self.width), column(right, self.width))
+        };
+        !(rows.start / BAND..rows.end.div_ceil(BAND)).any(|band| {
+            let own = rows.start.max(band * BAND)..rows.end.min((band + 1) * BAND);
+            exposed.any_in_band(band, chord(own.start, own.end))
+                && own.into_iter().any(|row| exposed.any_in_row(row, chord(row, row + 1)))
+        })
+    }
+
+    /// The box around all that was in sight, a hair wider.
+    fn open(&self, exposed: &Exposed) -> Aabb {
+        if exposed.columns == 0 {
+            return Aabb::EMPTY;
+        }
+        let Exposed { first, columns, rows, .. } = *exposed;
+        self.aabb((first.0, first.0 + columns), (first.1, first.1 + rows)).inflated(1e-6)
     }
 }
 
@@ -207,7 +267,11 @@ impl Ways {
 
     /// Bytes of the record.
     pub fn bytes(&self) -> usize {
-        self.ways.iter().flatten().map(|seen| size_of::<Seen>() + 8 * seen.exposed.bits.len()).sum()
+        self.ways
+            .iter()
+            .flatten()
+            .map(|seen| size_of::<Seen>() + 8 * (seen.exposed.bits.len() + seen.exposed.bands.len()))
+            .sum()
     }
 }
 
@@ -251,6 +315,11 @@ impl Replayer {
 impl Occlusion for Replayer {
     fn hides(&self, bound: &Bound) -> bool {
         self.ways.columns.hides(&self.seen().exposed, bound)
+    }
+
+    fn open(&self) -> Option<Open> {
+        let columns = &self.ways.columns;
+        Some(Open { open: columns.open(&self.seen().exposed), within: columns.bounds })
     }
 }
 

@@ -135,7 +135,7 @@ fn notes(options: &Load) -> Vec<String> {
              eyes and exposures through trackers of their own",
             options.cores.0, options.cores.1, options.culling, options.side
         ),
-        "all clients of the swarm share one socket, so the server sees one address; each has a connection of its own"
+        "those who cull share a socket, and so do those who replay: the server sees one address; each has a connection of its own"
             .into(),
         format!("load average of the last minute before the first run: {average}"),
     ]

@@ -1,4 +1,4 @@
-//! `swarm`: many people in one process, each with a client of their own, all on one socket.
+//! `swarm`: many people in one process, each with a client of their own.
 
 // This is a driver: it may read the clock.
 #![expect(clippy::disallowed_methods)]
@@ -12,20 +12,20 @@ use anyhow::Context;
 use clap::Args;
 use eyeline_client::app::{Target, WorldOptions, number};
 use eyeline_client::net::{Connection, Driver, Endpoint, FrameReport, LocalClock, run_headless};
-use eyeline_client::session::{Session, SessionConfig, SessionStats};
+use eyeline_client::session::{IndexMaker, Session, SessionConfig, SessionStats};
 use eyeline_client::tracking::{Sabotage, TrackerConfig};
 use eyeline_protocol::Welcome;
 use eyeline_server::app::shutdown_signal;
 use eyeline_server::spec::AvatarSpec;
 use eyeline_sim::load::process::pin_to;
+use eyeline_sim::load::throng::{Outcome, Recruit, Throng, ThrongRules};
 use eyeline_sim::load::ways::{Replayer, WayRules, Ways};
 use eyeline_sim::motion::WalkerPose;
-use eyeline_sim::people::{Ground, Person};
+use eyeline_sim::people::{FrameHook, Ground, Person};
 use eyeline_sim::report::{Column, Progress, Row, table};
 use eyeline_sim::scene::plan::RoomPlan;
-use eyeline_visibility::{Aabb, AllRound, DynamicOctree};
+use eyeline_visibility::{Aabb, AllRound, DynamicOctree, FlatIndex};
 use glam::DVec3;
-use rand::RngExt;
 use serde::Serialize;
 use tokio::sync::watch;
 use tokio::task::{JoinSet, LocalSet};
@@ -140,46 +140,6 @@ impl Frames {
     }
 }
 
-/// What somebody does who does not simply stay.
-#[derive(Clone, Copy, Debug)]
-enum Change {
-    Rejoin,
-    Resume,
-    Teleport,
-}
-
-/// Who changes when, as chance has it.
-struct Churn {
-    chance: rand_pcg::Pcg64,
-    /// Mean time between two changes of one client, seconds.
-    mean_s: f64,
-}
-
-impl Churn {
-    /// For one of `clients` that make `rate` changes of each kind a second; `None` for no changes.
-    fn new(rate: f64, seed: u64, number: usize, clients: usize) -> Option<Churn> {
-        let chance = rand_pcg::Pcg64::new(u128::from(seed), number as u128);
-        (rate > 0.0 && clients > 0).then(|| Churn { chance, mean_s: clients as f64 / (3.0 * rate) })
-    }
-
-    /// For how long to stay, and what to do then.
-    fn next(&mut self) -> (Duration, Change) {
-        let stay_s = self.chance.random_range(0.0..2.0 * self.mean_s);
-        let change = [Change::Rejoin, Change::Resume, Change::Teleport][self.chance.random_range(0..3)];
-        (Duration::from_secs_f64(stay_s), change)
-    }
-}
-
-/// Longer than any run.
-const FOREVER: Duration = Duration::from_secs(1 << 30);
-
-/// What became of one client.
-struct Outcome {
-    round_trip: Option<Duration>,
-    /// Visible, hidden and asked for at the end.
-    counts: (usize, usize, usize),
-}
-
 /// The summary's one row.
 #[derive(Serialize)]
 struct SwarmRow {
@@ -232,23 +192,24 @@ pub fn run(options: &Swarm) -> anyhow::Result<()> {
 async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()> {
     let shutdown = shutdown_signal()?;
     tokio::pin!(shutdown);
-    let (address, fingerprint) = options.target.resolve()?;
+    let (address, trust) = options.target.resolve()?;
     let token = options.target.token()?;
     let period = Duration::from_secs_f64(1.0 / options.frame_hz);
-    let endpoint = Arc::new(Endpoint::new(fingerprint, address)?);
+    let endpoint = Endpoint::new(trust.clone(), address)?;
     let clock = LocalClock::default();
     let sabotage = options.sabotage;
-    let session = move |number: u32, bounds: Aabb| {
+    let session = move |number: usize, index: IndexMaker| {
         let tracker = TrackerConfig::default().with_frame(period).with_sabotage(sabotage);
         let config = SessionConfig::default()
             .with_name(format!("swarm {number}"))
             .with_token(token.clone())
             .with_tracker(tracker);
-        Session::new(config, Box::new(move || Box::new(DynamicOctree::new(bounds))))
+        Session::new(config, index)
     };
+    let octree = |bounds: Aabb| -> IndexMaker { Box::new(move || Box::new(DynamicOctree::new(bounds))) };
 
     // The first client fetches the scene for all.
-    let mut first = endpoint.connect(address, session(0, Aabb::EMPTY), clock).await?;
+    let mut first = endpoint.connect(address, session(0, octree(Aabb::EMPTY)), clock).await?;
     let scene = first.scene(&options.world.source()).await?;
     let welcome = first.session.welcome().context("no welcome")?.clone();
     let bounds = scene.bounds();
@@ -267,75 +228,88 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
     };
     let frames = Arc::new(Mutex::new(Frames::default()));
     let (stop, stopped) = watch::channel(false);
-    let mut clients = JoinSet::new();
+    let mut clients: JoinSet<anyhow::Result<Vec<Outcome>>> = JoinSet::new();
     let begin = clock.now() + Duration::from_millis(50);
-    // Each plays from the moment when it is in: who waited for the last would not read what it is told of those who join.
-    let mut play = |number: usize, mut connection: Connection| {
-        // Frames of different clients are spread evenly, so that none waits for another.
-        let phase = begin + period.mul_f64(number as f64 / f64::from(options.clients));
-        let (frames, mut stopped) = (frames.clone(), stopped.clone());
-        let (endpoint, session) = (endpoint.clone(), session.clone());
-        let (ways, ground, seed, side) = (ways.clone(), ground.clone(), options.seed, options.side);
-        let mut churn = Churn::new(options.churn, seed, number, replaying).filter(|_| number >= culling);
-        let driver = move |turn: usize| -> Box<dyn Driver> {
+    let hook = {
+        let frames = frames.clone();
+        move |number: usize| -> FrameHook {
             let frames = frames.clone();
-            let hook = move |session: &mut Session, report: &FrameReport, _: &WalkerPose| {
+            Box::new(move |session: &mut Session, report: &FrameReport, _: &WalkerPose| {
                 frames.lock().unwrap_or_else(PoisonError::into_inner).note(number, session, report);
-            };
-            match (&ways, number.checked_sub(culling)) {
-                (Some(ways), Some(number)) => {
-                    Box::new(Replayer::new(ways.clone(), number + 37 * turn, replaying, Some(Box::new(hook))))
-                }
-                _ => Box::new(Person::on(&ground, seed, number, side, Some(Box::new(hook)))),
+            })
+        }
+    };
+    // Who culls has a connection like any client's, and so has the first, who has one already. Each plays from the moment
+    // when it is in: who waited for the last would not read what it is told of those who join.
+    let mut play = |number: usize, mut connection: Connection| {
+        let phase = begin + period.mul_f64(number as f64 / f64::from(options.clients));
+        let mut stopped = stopped.clone();
+        let (ground, seed, side) = (ground.clone(), options.seed, options.side);
+        let mut player: Box<dyn Driver> = match &ways {
+            Some(ways) if number >= culling => {
+                Box::new(Replayer::new(ways.clone(), number - culling, replaying, Some(hook(number))))
             }
+            _ => Box::new(Person::on(&ground, seed, number, side, Some(hook(number)))),
         };
         clients.spawn_local(async move {
-            let mut turn = 0;
-            let mut player = driver(turn);
-            loop {
-                let passed = clock.now().since(phase).as_secs_f64() / period.as_secs_f64();
-                let due = phase + period.mul_f64(passed.ceil());
-                let change = churn.as_mut().map(Churn::next);
-                let stay = change.map_or(FOREVER, |(stay, _)| stay);
-                let end = async {
-                    tokio::select! {
-                        // The sender outlives every client.
-                        _ = stopped.wait_for(|&stop| stop) => {}
-                        () = tokio::time::sleep(stay) => {}
-                    }
-                };
-                let ran = run_headless(&mut connection, player.as_mut(), period, due, end).await;
-                ran.with_context(|| format!("client {number}"))?;
-                let Some((_, change)) = change.filter(|_| !*stopped.borrow()) else { break };
-                turn += 1;
-                match change {
-                    // Where another way begins is somewhere else.
-                    Change::Teleport => player = driver(turn),
-                    Change::Resume => endpoint
-                        .resume(address, &mut connection)
-                        .await
-                        .with_context(|| format!("client {number} comes back"))?,
-                    Change::Rejoin => {
-                        connection.close().await;
-                        let fresh = endpoint.connect(address, session(number as u32, bounds), clock).await;
-                        connection = fresh.with_context(|| format!("client {number} joins anew"))?;
-                        player = driver(turn);
-                    }
-                }
-            }
+            let passed = clock.now().since(phase).as_secs_f64() / period.as_secs_f64();
+            let due = phase + period.mul_f64(passed.ceil());
+            // The sender outlives every client.
+            let end = async { drop(stopped.wait_for(|&stop| stop).await) };
+            let ran = run_headless(&mut connection, player.as_mut(), period, due, end).await;
+            ran.with_context(|| format!("client {number}"))?;
             let outcome = Outcome {
                 round_trip: connection.session.round_trip().map(|(smoothed, _)| smoothed),
                 counts: connection.session.tracker().map_or((0, 0, 0), |tracker| tracker.counts()),
             };
             connection.close().await;
-            Ok(outcome)
+            Ok(vec![outcome])
         });
     };
     play(0, first);
-    for number in 1..options.clients {
+    for number in 1..culling {
         tokio::select! {
-            connection = endpoint.connect(address, session(number, bounds), clock) => {
-                play(number as usize, connection.with_context(|| format!("client {number}"))?);
+            connection = endpoint.connect(address, session(number, octree(bounds)), clock) => {
+                play(number, connection.with_context(|| format!("client {number}"))?);
+            }
+            () = &mut shutdown => anyhow::bail!("ended before all clients were in"),
+        }
+    }
+    let alone = culling.max(1);
+    if let Some(ways) = ways.clone().filter(|_| options.clients as usize > alone) {
+        let rules = ThrongRules {
+            address,
+            trust,
+            first: alone,
+            end: options.clients as usize,
+            period,
+            begin,
+            churn: options.churn,
+            seed: options.seed,
+        };
+        let recruiter = move |number: usize, turn: usize| Recruit {
+            session: session(number, Box::new(|| Box::new(FlatIndex::default()))),
+            player: Box::new(Replayer::new(ways.clone(), number - culling + 37 * turn, replaying, Some(hook(number)))),
+        };
+        let mut throng = Throng::new(rules, clock, Box::new(recruiter))?;
+        let (tell, mut told) = tokio::sync::oneshot::channel::<()>();
+        let mut stopped = stopped.clone();
+        clients.spawn_local(async move {
+            tokio::select! {
+                joined = throng.join() => joined?,
+                _ = stopped.wait_for(|&stop| stop) => return Ok(throng.leave()),
+            }
+            drop(tell);
+            tokio::select! {
+                played = throng.play() => match played? {},
+                _ = stopped.wait_for(|&stop| stop) => Ok(throng.leave()),
+            }
+        });
+        tokio::select! {
+            _ = &mut told => {}
+            Some(outcome) = clients.join_next() => {
+                outcome??;
+                anyhow::bail!("a client left before all were in");
             }
             () = &mut shutdown => anyhow::bail!("ended before all clients were in"),
         }
@@ -378,7 +352,7 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
     let _ = stop.send(true);
     while let Some(outcome) = clients.join_next().await {
         match outcome? {
-            Ok(outcome) => outcomes.push(outcome),
+            Ok(outcome) => outcomes.extend(outcome),
             Err(error) => failed = failed.or(Some(error)),
         }
     }

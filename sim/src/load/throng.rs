@@ -1,0 +1,487 @@
+//! A thousand clients in one task: quinn's state machines without a task, a channel and a timer for each connection.
+//!
+//! What a client costs is mostly its packets, and around each packet quinn's own shell wakes tasks: the endpoint's, the
+//! connection's and the application's. A server has to live with that, since its connections come and go; who plays a crowd
+//! need not. Here one loop reads what has arrived, hands each packet to its connection, plays the frames whose time has
+//! come and sends what comes of it. Everything that the server sees is as before: [`quinn_proto`]'s connections with the
+//! settings of [`eyeline_client::net`], and real sessions with trackers of their own. All share one socket.
+
+// This is a driver: it may read the clock and own sockets.
+#![expect(clippy::disallowed_methods)]
+
+mod link;
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::io::{self, IoSliceMut};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use bytes::BytesMut;
+use eyeline_client::net::{Driver, FrameReport, LocalClock, Trust};
+use eyeline_client::session::Session;
+use eyeline_protocol::LocalTime;
+use quinn::udp::{BATCH_SIZE, RecvMeta, UdpSocketState};
+use quinn_proto::{ConnectionHandle, DatagramEvent, Endpoint, EndpointConfig};
+use tokio::io::Interest;
+
+use super::churn::{Change, Churn};
+use link::{Heard, Link};
+
+/// What becomes a member: a session before its hello, and whoever is in front of it.
+pub struct Recruit {
+    /// Its session.
+    pub session: Session,
+    /// Who moves and looks.
+    pub player: Box<dyn Driver>,
+}
+
+/// Makes the member of a number, for the so manieth time.
+pub type Recruiter = Box<dyn FnMut(usize, usize) -> Recruit>;
+
+/// How a throng is to behave.
+pub struct ThrongRules {
+    /// Where the server is.
+    pub address: SocketAddr,
+    /// Why it is believed.
+    pub trust: Trust,
+    /// Number of the first member: those before it play elsewhere.
+    pub first: usize,
+    /// Number after the last member's.
+    pub end: usize,
+    /// Time between frames.
+    pub period: Duration,
+    /// When the first frame of the first member is due; the others' are spread evenly over a period.
+    pub begin: LocalTime,
+    /// Changes of each kind a second.
+    pub churn: f64,
+    /// Decides who changes when.
+    pub seed: u64,
+}
+
+/// What became of one member.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Outcome {
+    /// Smoothed round trip.
+    pub round_trip: Option<Duration>,
+    /// Visible, hidden and asked for at the end.
+    pub counts: (usize, usize, usize),
+}
+
+struct Member {
+    session: Session,
+    player: Box<dyn Driver>,
+    /// Its connection, unless it is between two.
+    link: Option<ConnectionHandle>,
+    /// Frames so far, and frames left out because the process came late.
+    frames: u64,
+    skipped: u64,
+    churn: Option<Churn>,
+    /// What it does next, and when.
+    change: Option<(LocalTime, Change)>,
+    /// How often it was made.
+    turn: usize,
+    is_in: bool,
+    /// When it is given up, unless it is in by then.
+    deadline: LocalTime,
+}
+
+/// A crowd that replays.
+pub struct Throng {
+    rules: ThrongRules,
+    recruiter: Recruiter,
+    clock: LocalClock,
+    endpoint: Endpoint,
+    config: quinn_proto::ClientConfig,
+    server_name: String,
+    socket: tokio::net::UdpSocket,
+    udp: UdpSocketState,
+    members: Vec<Member>,
+    /// By handle.
+    links: Vec<Option<Link>>,
+    /// Links that something has happened to.
+    touched: Vec<usize>,
+    /// When links want to be woken. Those that want it later by now are put back.
+    timers: BinaryHeap<Reverse<(Instant, usize)>>,
+    /// Members' next frames.
+    due: BinaryHeap<Reverse<(LocalTime, usize)>>,
+    /// Scratch for what arrives and for what leaves.
+    arrived: Vec<u8>,
+    packet: Vec<u8>,
+}
+
+/// For how long a server may take to let somebody in.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Bytes for what is received at once: the system may join several packets of one sender. An odd number of cache lines, so
+/// that the beginnings of all do not compete for the same few places in the caches.
+const ARRIVES_MAX: usize = 64 * 1024 + 64;
+
+impl Throng {
+    /// A throng of which nobody is in yet. Needs a tokio runtime around it.
+    ///
+    /// # Errors
+    /// If there is no socket to be had.
+    pub fn new(rules: ThrongRules, clock: LocalClock, recruiter: Recruiter) -> anyhow::Result<Throng> {
+        let any: SocketAddr = match (rules.address, rules.address.ip().is_loopback()) {
+            (SocketAddr::V4(_), true) => (Ipv4Addr::LOCALHOST, 0).into(),
+            (SocketAddr::V4(_), false) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+            (SocketAddr::V6(_), true) => (Ipv6Addr::LOCALHOST, 0).into(),
+            (SocketAddr::V6(_), false) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+        };
+        let socket = eyeline_server::net::socket(any).context("cannot open a socket")?;
+        let udp = UdpSocketState::new((&socket).into())?;
+        Ok(Throng {
+            endpoint: Endpoint::new(Arc::new(EndpointConfig::default()), None, true, None),
+            server_name: rules.trust.name().to_owned(),
+            config: eyeline_client::net::quic_config(rules.trust.clone())?,
+            socket: tokio::net::UdpSocket::from_std(socket)?,
+            udp,
+            clock,
+            members: Vec::new(),
+            links: Vec::new(),
+            touched: Vec::new(),
+            timers: BinaryHeap::new(),
+            due: BinaryHeap::new(),
+            arrived: vec![0; ARRIVES_MAX * BATCH_SIZE],
+            packet: Vec::new(),
+            rules,
+            recruiter,
+        })
+    }
+
+    /// Lets everybody in, one after the other. Who is in plays already: who waited for the last would not read what it is told
+    /// of those who join.
+    ///
+    /// # Errors
+    /// If somebody is not let in.
+    pub async fn join(&mut self) -> anyhow::Result<()> {
+        let ThrongRules { first, end, churn, seed, .. } = self.rules;
+        while first + self.members.len() < end {
+            let number = self.members.len();
+            let Recruit { session, player } = (self.recruiter)(first + number, 0);
+            let churn = Churn::new(churn, seed, first + number, end - first);
+            self.members.push(Member {
+                session,
+                player,
+                link: None,
+                frames: 0,
+                skipped: 0,
+                churn,
+                change: None,
+                turn: 0,
+                is_in: false,
+                deadline: self.clock.now() + PATIENCE,
+            });
+            self.dial(number)?;
+            while !self.members[number].is_in {
+                self.step().await?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Plays. Never ends by itself; safe to drop, and to call again.
+    ///
+    /// # Errors
+    /// If a connection is lost.
+    pub async fn play(&mut self) -> anyhow::Result<std::convert::Infallible> {
+        loop {
+            self.step().await?;
+        }
+    }
+
+    /// Everybody says goodbye.
+    pub fn leave(mut self) -> Vec<Outcome> {
+        for number in 0..self.members.len() {
+            self.part(number, b"goodbye");
+        }
+        let outcome = |member: &Member| Outcome {
+            round_trip: member.session.round_trip().map(|(smoothed, _)| smoothed),
+            counts: member.session.tracker().map_or((0, 0, 0), |tracker| tracker.counts()),
+        };
+        self.members.iter().map(outcome).collect()
+    }
+
+    fn dial(&mut self, number: usize) -> anyhow::Result<()> {
+        let now = Instant::now();
+        let (handle, connection) =
+            self.endpoint.connect(now, self.config.clone(), self.rules.address, &self.server_name)?;
+        if self.links.len() <= handle.0 {
+            self.links.resize_with(handle.0 + 1, || None);
+        }
+        self.links[handle.0] = Some(Link::new(handle, connection, number));
+        let member = &mut self.members[number];
+        member.link = Some(handle);
+        member.is_in = false;
+        member.deadline = self.clock.now() + PATIENCE;
+        self.touch(handle.0);
+        self.look_after_touched()
+    }
+
+    /// Ends a member's connection.
+    fn part(&mut self, number: usize, why: &'static [u8]) {
+        let Some(handle) = self.members[number].link.take() else { return };
+        let Some(link) = self.links.get_mut(handle.0).and_then(Option::as_mut) else { return };
+        link.part(Instant::now(), why);
+        self.touch(handle.0);
+        // Whatever goes wrong with a connection that is over matters no more.
+        let _ = self.look_after_touched();
+    }
+
+    fn touch(&mut self, handle: usize) {
+        if let Some(link) = self.links.get_mut(handle).and_then(Option::as_mut)
+            && !std::mem::replace(&mut link.is_touched, true)
+        {
+            self.touched.push(handle);
+        }
+    }
+
+    /// Waits until something is to be done, and does it.
+    async fn step(&mut self) -> anyhow::Result<()> {
+        let frame = self.due.peek().map(|Reverse((due, _))| self.clock.instant(*due));
+        let timer = self.timers.peek().map(|Reverse((at, _))| *at);
+        let patience = Instant::now() + Duration::from_millis(100);
+        let next = [frame, timer].into_iter().flatten().fold(patience, Instant::min);
+        tokio::select! {
+            biased;
+            ready = self.socket.readable() => {
+                ready?;
+                self.receive()?;
+            }
+            () = tokio::time::sleep_until(next.into()) => {}
+        }
+        self.wake();
+        self.look_after_touched()?;
+        self.frames()?;
+        // Those who cull are tasks of the same thread.
+        tokio::task::yield_now().await;
+        Ok(())
+    }
+
+    /// Takes a batch of what has arrived.
+    fn receive(&mut self) -> anyhow::Result<()> {
+        let mut metas = [RecvMeta::default(); BATCH_SIZE];
+        let mut chunks = self.arrived.chunks_exact_mut(ARRIVES_MAX);
+        let mut slices: [IoSliceMut<'_>; BATCH_SIZE] =
+            std::array::from_fn(|_| IoSliceMut::new(chunks.next().expect("as many as a batch has")));
+        let socket = &self.socket;
+        let received = socket.try_io(Interest::READABLE, || self.udp.recv(socket.into(), &mut slices, &mut metas));
+        let count = match received {
+            Ok(count) => count,
+            Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::ConnectionReset) => 0,
+            Err(error) => return Err(error).context("cannot receive"),
+        };
+        let now = Instant::now();
+        for (index, meta) in metas.iter().take(count).enumerate() {
+            let ecn = meta.ecn.and_then(|ecn| quinn_proto::EcnCodepoint::from_bits(ecn as u8));
+            let start = index * ARRIVES_MAX;
+            let mut data = BytesMut::from(&self.arrived[start..start + meta.len]);
+            while !data.is_empty() {
+                let one = data.split_to(meta.stride.clamp(1, data.len()));
+                self.packet.clear();
+                match self.endpoint.handle(now, meta.addr, meta.dst_ip, ecn, one, &mut self.packet) {
+                    Some(DatagramEvent::ConnectionEvent(handle, event)) => {
+                        if let Some(link) = self.links.get_mut(handle.0).and_then(Option::as_mut) {
+                            link.connection.handle_event(event);
+                        }
+                        self.touch(handle.0);
+                    }
+                    Some(DatagramEvent::Response(transmit)) => self.send(&transmit),
+                    Some(DatagramEvent::NewConnection(incoming)) => self.endpoint.ignore(incoming),
+                    None => {}
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends what is in `packet`. What the system does not take now is lost, as on any path.
+    fn send(&self, transmit: &quinn_proto::Transmit) {
+        send(&self.udp, &self.socket, transmit, &self.packet);
+    }
+
+    /// Tells links whose time has come.
+    fn wake(&mut self) {
+        let now = Instant::now();
+        while let Some(Reverse((at, handle))) = self.timers.peek().copied()
+            && at <= now
+        {
+            self.timers.pop();
+            if let Some(link) = self.links.get_mut(handle).and_then(Option::as_mut)
+                && link.disarm(at)
+            {
+                link.connection.handle_timeout(now);
+                self.touch(handle);
+            }
+        }
+    }
+
+    /// Lets each link that something happened to do all that it can do now.
+    fn look_after_touched(&mut self) -> anyhow::Result<()> {
+        while let Some(handle) = self.touched.pop() {
+            self.look_after(handle)?;
+        }
+        Ok(())
+    }
+
+    fn look_after(&mut self, handle: usize) -> anyhow::Result<()> {
+        let Some(link) = self.links[handle].as_mut() else { return Ok(()) };
+        link.is_touched = false;
+        let number = link.member;
+        let member = &mut self.members[number];
+        let is_own = member.link == Some(link.handle);
+        let heard = match is_own {
+            true => link.hear(&mut member.session, member.player.as_ref(), member.frames > 0, self.clock),
+            false => link.ignore(),
+        };
+        let heard = heard.with_context(|| format!("client {}", self.rules.first + number))?;
+        if is_own && heard == Heard::Welcome && !std::mem::replace(&mut member.is_in, true) {
+            let passed = self.clock.now();
+            // Frames of different clients are spread evenly, so that none waits for another.
+            let share = (self.rules.first + number) as f64 / self.rules.end.max(1) as f64;
+            let mut due = self.rules.begin + self.rules.period.mul_f64(share);
+            let late = passed.since(due).as_secs_f64() / self.rules.period.as_secs_f64();
+            due = due + self.rules.period.mul_f64(late.ceil());
+            member.change = member.churn.as_mut().map(Churn::upcoming).map(|(stay, change)| (passed + stay, change));
+            self.due.push(Reverse((due, number)));
+        }
+        let link = self.links[handle].as_mut().expect("looked at above");
+        while let Some(event) = link.connection.poll_endpoint_events() {
+            if let Some(event) = self.endpoint.handle_event(link.handle, event) {
+                link.connection.handle_event(event);
+            }
+        }
+        link.transmit(&self.udp, &self.socket, &mut self.packet);
+        while let Some(event) = link.connection.poll_endpoint_events() {
+            if let Some(event) = self.endpoint.handle_event(link.handle, event) {
+                link.connection.handle_event(event);
+            }
+        }
+        if link.connection.is_drained() {
+            self.links[handle] = None;
+        } else if let Some(at) = link.arm() {
+            self.timers.push(Reverse((at, handle)));
+        }
+        Ok(())
+    }
+
+    /// Plays the frames that are due, and makes the changes.
+    fn frames(&mut self) -> anyhow::Result<()> {
+        let now = self.clock.now();
+        if let Some(number) = (0..self.members.len()).next_back().filter(|&number| !self.members[number].is_in) {
+            anyhow::ensure!(
+                now < self.members[number].deadline,
+                "client {}: it is not let in within {} s; is the server running, and is this its address?",
+                self.rules.first + number,
+                PATIENCE.as_secs()
+            );
+        }
+        // A batch at a time: what arrives must not wait for all of them.
+        for _ in 0..FRAMES_MAX {
+            let Some(Reverse((due, number))) =
+                self.due.peek().copied().filter(|Reverse((due, _))| *due <= self.clock.now())
+            else {
+                return Ok(());
+            };
+            self.due.pop();
+            let member = &mut self.members[number];
+            if let Some((_, change)) = member.change.filter(|(at, _)| *at <= due) {
+                self.change(number, change, due)?;
+                continue;
+            }
+            let Some(handle) = member.link.filter(|_| member.is_in) else { continue };
+            self.frame(number, due);
+            if let Some(link) = self.links[handle.0].as_mut() {
+                link.say(&mut self.members[number].session, self.clock.now());
+            }
+            self.touch(handle.0);
+            self.look_after_touched()?;
+        }
+        Ok(())
+    }
+
+    /// One frame, as `run_headless` of the client's own shell plays it.
+    fn frame(&mut self, number: usize, due: LocalTime) {
+        let now = self.clock.now();
+        let Member { session, player, frames, skipped, .. } = &mut self.members[number];
+        for pose in player.poses(session, now) {
+            session.set_pose(pose.object, pose.position, pose.orientation);
+        }
+        let started = Instant::now();
+        let ahead = session.ahead();
+        player.cull(ahead);
+        let time = player.occlusion().and_then(|occlusion| session.frame(ahead, occlusion, now));
+        let report = FrameReport {
+            frame: *frames,
+            began: now,
+            time,
+            cull: Duration::ZERO,
+            track: started.elapsed(),
+            late: now.since(due),
+            skipped: *skipped,
+        };
+        player.frame_done(session, &report);
+        *frames += 1;
+        let mut next = due + self.rules.period;
+        while next + self.rules.period < now {
+            next = next + self.rules.period;
+            *skipped += 1;
+        }
+        self.due.push(Reverse((next, number)));
+    }
+
+    fn change(&mut self, number: usize, change: Change, due: LocalTime) -> anyhow::Result<()> {
+        let turn = self.members[number].turn + 1;
+        self.members[number].turn = turn;
+        match change {
+            // Where another way begins is somewhere else.
+            Change::Teleport => {
+                let Recruit { player, .. } = (self.recruiter)(self.rules.first + number, turn);
+                let member = &mut self.members[number];
+                member.player = player;
+                member.change = member.churn.as_mut().map(Churn::upcoming).map(|(stay, change)| (due + stay, change));
+                self.due.push(Reverse((due, number)));
+                Ok(())
+            }
+            Change::Resume => {
+                self.part(number, b"comes back");
+                self.members[number].session.reconnect();
+                self.dial(number)
+            }
+            Change::Rejoin => {
+                self.members[number].session.leave();
+                if let Some(handle) = self.members[number].link
+                    && let Some(link) = self.links[handle.0].as_mut()
+                {
+                    link.say(&mut self.members[number].session, self.clock.now());
+                }
+                self.part(number, b"goodbye");
+                let Recruit { session, player } = (self.recruiter)(self.rules.first + number, turn);
+                let member = &mut self.members[number];
+                (member.session, member.player) = (session, player);
+                (member.frames, member.skipped) = (0, 0);
+                self.dial(number)
+            }
+        }
+    }
+}
+
+/// How many frames are played before what has arrived is looked at again.
+const FRAMES_MAX: usize = 16;
+
+fn send(udp: &UdpSocketState, socket: &tokio::net::UdpSocket, transmit: &quinn_proto::Transmit, packet: &[u8]) {
+    let transmit = quinn::udp::Transmit {
+        destination: transmit.destination,
+        ecn: transmit.ecn.and_then(|ecn| quinn::udp::EcnCodepoint::from_bits(ecn as u8)),
+        contents: &packet[..transmit.size],
+        segment_size: transmit.segment_size,
+        src_ip: transmit.src_ip,
+    };
+    let _ = udp.send(socket.into(), &transmit);
+}
+
+#[cfg(test)]
+mod tests;
