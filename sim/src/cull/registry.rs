@@ -9,7 +9,7 @@ use std::sync::Arc;
 use eyeline_visibility::{
     Aabb, Budget, CentroidOrder, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, Delaunay,
     DelaunayRules, DepthBuffer, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree, LargeOccluder,
-    LargeOccluderRules, MaskedCplp, Occluders, Occlusion, Octree, OctreeRules, Plp, PlpCells, PlpCuller, PlpRules,
+    LargeOccluderRules, MaskedCplp, Occluders, Occupancy, Occlusion, Octree, OctreeRules, Plp, PlpCells, PlpCuller, PlpRules,
     QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, Triangle, View,
     ZBuffer,
 };
@@ -266,6 +266,11 @@ const REGION_PIXELS: u32 = 256 * 128;
 const CPLP_BUDGET: &str = "100";
 const PLP_BUDGET: &str = "10%";
 
+/// Query back ends of cPLP; those that answer several cells at once can be asked in batches.
+const CPLP_QUERIES: &[&str] =
+    &["sampled", "item-buffer", "item-buffer-tiled", "histogram", "one-at-a-time", "per-fragment-histogram"];
+const CPLP_QUERIES_BATCHED: [&str; 4] = ["per-fragment-histogram", "item-buffer", "item-buffer-tiled", "histogram"];
+
 /// Names of tessellations.
 const DELAUNAY: &str = "delaunay";
 const OCTREE: &str = "octree";
@@ -380,30 +385,29 @@ impl Registry {
                 conservative: true,
                 by_rays: false,
                 tessellations: &[OCTREE, KD_TREE],
-                queries: &[
-                    "sampled",
-                    "item-buffer",
-                    "item-buffer-tiled",
-                    "histogram",
-                    "one-at-a-time",
-                    "per-fragment-histogram",
-                ],
+                queries: CPLP_QUERIES,
                 budget: Some(CPLP_BUDGET),
-                make: |shop, setting| {
-                    let budget = Budget { triangles: shop.budget(setting) };
-                    let (scene, cplp) = (shop.scene(), shop.cplp(setting));
-                    match QueryKind::ALL.into_iter().find(|kind| Some(kind.name()) == setting.query) {
-                        Some(kind) => {
-                            let culler = CplpQueryCuller::new(scene.clone(), cplp.clone(), budget, kind);
-                            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp, budget, query: kind })
-                        }
-                        None => {
-                            let culler = CplpCuller::new(scene.clone(), cplp.clone(), budget);
-                            let query = QueryKind::PerFragmentHistogram;
-                            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp, budget, query })
-                        }
-                    }
-                },
+                make: |shop, setting| cplp(shop, setting, Occupancy::Off),
+            },
+            Entry {
+                name: "cplp-occupancy",
+                about: "the same, with a map of where was drawn that spares queries of cells that are certainly seen (Staneker)",
+                conservative: true,
+                by_rays: false,
+                tessellations: &[OCTREE, KD_TREE],
+                queries: CPLP_QUERIES,
+                budget: Some(CPLP_BUDGET),
+                make: |shop, setting| cplp(shop, setting, Occupancy::Single),
+            },
+            Entry {
+                name: "cplp-batches",
+                about: "the same, with four more maps that arrange what is left of a front into batches",
+                conservative: true,
+                by_rays: false,
+                tessellations: &[OCTREE, KD_TREE],
+                queries: &CPLP_QUERIES_BATCHED,
+                budget: Some(CPLP_BUDGET),
+                make: |shop, setting| cplp(shop, setting, Occupancy::Batched),
             },
             Entry {
                 name: "plp",
@@ -459,10 +463,27 @@ impl Registry {
                 tessellations: &[OCTREE, KD_TREE],
                 queries: &["sampled"],
                 budget: None,
-                make: |shop, setting| {
-                    let tessellation = shop.tessellation(setting);
-                    Box::new(WithScratch::new(QueryFrontToBack::new(shop.scene(), tessellation)))
-                },
+                make: |shop, setting| query_front_to_back(shop, setting, Occupancy::Off),
+            },
+            Entry {
+                name: "query-front-to-back-occupancy",
+                about: "the same, with a map of where was drawn that spares queries of cells that are certainly seen (Staneker)",
+                conservative: true,
+                by_rays: false,
+                tessellations: &[OCTREE, KD_TREE],
+                queries: &["sampled"],
+                budget: None,
+                make: |shop, setting| query_front_to_back(shop, setting, Occupancy::Single),
+            },
+            Entry {
+                name: "query-front-to-back-batches",
+                about: "the same, with what is left asked in five batches after that, as four more maps arrange them",
+                conservative: true,
+                by_rays: false,
+                tessellations: &[OCTREE, KD_TREE],
+                queries: &["sampled"],
+                budget: None,
+                make: |shop, setting| query_front_to_back(shop, setting, Occupancy::Batched),
             },
             Entry {
                 name: "hierarchical-z",
@@ -475,6 +496,19 @@ impl Registry {
                 make: |shop, _| {
                     let octree = shop.octree();
                     Box::new(WithScratch::new(HierarchicalZ::new(shop.scene(), octree)))
+                },
+            },
+            Entry {
+                name: "hierarchical-z-occupancy",
+                about: "the same, with a map of where was drawn that is asked first",
+                conservative: true,
+                by_rays: false,
+                tessellations: &[OCTREE],
+                queries: &["pyramid"],
+                budget: None,
+                make: |shop, _| {
+                    let culler = HierarchicalZ::new(shop.scene(), shop.octree()).with_occupancy_map(true);
+                    Box::new(WithScratch::new(culler))
                 },
             },
             Entry {
@@ -553,6 +587,30 @@ impl Registry {
     }
 }
 
+/// cPLP with the query back end of a setting, with or without occupancy maps.
+fn cplp(shop: &mut Shop, setting: &Setting, occupancy: Occupancy) -> Box<dyn Candidate> {
+    let budget = Budget { triangles: shop.budget(setting) };
+    let (scene, cplp) = (shop.scene(), shop.cplp(setting));
+    match QueryKind::ALL.into_iter().find(|kind| Some(kind.name()) == setting.query) {
+        Some(kind) => {
+            let culler = CplpQueryCuller::new(scene.clone(), cplp.clone(), budget, kind).with_occupancy(occupancy);
+            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp, budget, query: kind })
+        }
+        None => {
+            let culler = CplpCuller::new(scene.clone(), cplp.clone(), budget);
+            let culler = culler.with_occupancy_map(occupancy != Occupancy::Off);
+            let query = QueryKind::PerFragmentHistogram;
+            Box::new(WithFront { inner: WithScratch::new(culler), scene, cplp, budget, query })
+        }
+    }
+}
+
+/// One query a cell, with or without occupancy maps.
+fn query_front_to_back(shop: &mut Shop, setting: &Setting, occupancy: Occupancy) -> Box<dyn Candidate> {
+    let tessellation = shop.tessellation(setting);
+    Box::new(WithScratch::new(QueryFrontToBack::new(shop.scene(), tessellation).with_occupancy(occupancy)))
+}
+
 /// What of `known` was asked for; `None` if nothing was.
 fn chosen(
     what: &'static str,
@@ -607,12 +665,17 @@ mod tests {
             "large-occluder · planes",
             "masked · kd-tree · masks",
             "cplp · octree · sampled · 100",
+            "cplp-occupancy · octree · sampled · 100",
+            "cplp-batches · octree · per-fragment-histogram · 100",
             "plp · delaunay · 10%",
             "plp-paper · delaunay · 10%",
             "centroid · 10%",
             "centroid-culled · 10%",
             "query-front-to-back · octree · sampled",
+            "query-front-to-back-occupancy · octree · sampled",
+            "query-front-to-back-batches · octree · sampled",
             "hierarchical-z · octree · pyramid",
+            "hierarchical-z-occupancy · octree · pyramid",
             "region · octree · under",
         ];
         assert_eq!(labels(&registry, &sweep(&["all"], &[], &[], &[])), best);

@@ -41,6 +41,7 @@ pub struct CullRow {
     pub passes: f64,
     pub cells: f64,
     pub queries: f64,
+    pub visible_query_pixels: f64,
     pub bounds: f64,
     pub occluders: f64,
     pub plp_triangles: f64,
@@ -143,6 +144,11 @@ pub fn columns() -> Vec<Column> {
         ),
         column("cells", "", "cells projected per view, mean"),
         column("queries", "", "cells asked about per view, mean"),
+        column(
+            "visible_query_pixels",
+            "",
+            "depths compared by queries about cells that turned out to be seen, per view: what an occupancy map spares",
+        ),
         column("bounds", "", "boxes of objects and clusters asked about, per view, where the culler asks them itself"),
         column(
             "occluders",

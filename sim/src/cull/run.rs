@@ -343,6 +343,7 @@ struct Tally {
     passes: u64,
     cells: u64,
     queries: u64,
+    visible_query_pixels: u64,
     plp: u64,
     occluders: u64,
     bounds: u64,
@@ -374,6 +375,7 @@ impl Tally {
         self.passes += culled.traversal.passes as u64;
         self.cells += culled.traversal.cells_projected as u64;
         self.queries += culled.traversal.queries as u64;
+        self.visible_query_pixels += culled.traversal.seen_z_tests;
         self.plp += culled.traversal.plp_triangles as u64;
         self.occluders += culled.traversal.polygons_drawn as u64;
         self.bounds += culled.traversal.bounds_tested as u64;
@@ -451,6 +453,7 @@ impl Tally {
             passes: mean(self.passes),
             cells: mean(self.cells),
             queries: mean(self.queries),
+            visible_query_pixels: mean(self.visible_query_pixels),
             bounds: mean(self.bounds),
             occluders: mean(self.occluders),
             plp_triangles: mean(self.plp),

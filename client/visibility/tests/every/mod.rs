@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use eyeline_visibility::{
     Budget, Cplp, CplpCuller, CplpQueryCuller, Culler, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree,
-    LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Octree, OctreeRules, QueryFrontToBack, QueryKind,
+    LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Occupancy, Octree, OctreeRules, QueryFrontToBack, QueryKind,
     RegionCuller, Scene, Scratch, Tessellation, View, ZBuffer, exact_set, wrong_pixels,
 };
 
@@ -42,14 +42,31 @@ pub fn cullers(scene: &Arc<Scene>) -> Vec<Named> {
         named("cPLP in a kD-tree", CplpCuller::new(scene.clone(), in_kd.clone(), Budget::default())),
         named("front to back", QueryFrontToBack::new(scene.clone(), octree.clone())),
         named("hierarchical Z", HierarchicalZ::new(scene.clone(), octree.clone())),
+        named(
+            "hierarchical Z, mapped",
+            HierarchicalZ::new(scene.clone(), octree.clone()).with_occupancy_map(true),
+        ),
+        named(
+            "cPLP, mapped",
+            CplpCuller::new(scene.clone(), in_octree.clone(), Budget::default()).with_occupancy_map(true),
+        ),
         named("large occluders", LargeOccluder::build(scene.clone())),
         named(FROM_A_REGION, RegionCuller::new(scene.clone(), in_kd, occluders, 64 * 64)),
     ];
+    let octree_again = octree.clone();
     cullers.extend(masked(scene, octree, "an octree"));
     cullers.extend(masked(scene, kd, "a kD-tree"));
     for query in QueryKind::ALL {
         let culler = CplpQueryCuller::new(scene.clone(), in_octree.clone(), Budget::default(), query);
-        cullers.push(named(query.name(), culler));
+        cullers.push(named(query.name(), culler.clone()));
+        for occupancy in [Occupancy::Single, Occupancy::Batched] {
+            let name = format!("{}, {occupancy:?}", query.name());
+            cullers.push(named(name, culler.clone().with_occupancy(occupancy)));
+        }
+    }
+    for occupancy in [Occupancy::Single, Occupancy::Batched] {
+        let culler = QueryFrontToBack::new(scene.clone(), octree_again.clone()).with_occupancy(occupancy);
+        cullers.push(named(format!("front to back, {occupancy:?}"), culler));
     }
     cullers
 }
