@@ -8,7 +8,7 @@
 //! some of what a query would have hidden. Cells here list triangles that reach beyond them, so that rectangles of cells would
 //! say too little of what was drawn. This map marks the tiles that drawn triangles reach into, and is asked with a box's
 //! silhouette: a tile without a mark has no pixel that was drawn, each of its pixels is as far as can be, and a query that
-//! looked at one of them would say the same. Answers are those of the query, and the visible set does not grow.
+//! looked at one of them would see the box. So answers are those of the query, and the visible set does not grow.
 //!
 //! What the map cannot tell may still be told by one pixel at each corner of the box (§6.1), and else by a query. Of those,
 //! [`Batches`] says which can be asked together (§3.2): four more maps of the tiles that boxes of a batch take up, and a batch
@@ -61,6 +61,15 @@ impl Bits {
         for word in usize::from(first) / 64..=usize::from(last) / 64 {
             self.0[usize::from(row)][word] |= Bits::mask(word, first, last);
         }
+    }
+
+    /// The first column of `first` to `last` of a row that is not set.
+    #[inline]
+    fn first_clear(&self, row: u8, first: u8, last: u8) -> Option<usize> {
+        (usize::from(first) / 64..=usize::from(last) / 64).find_map(|word| {
+            let clear = !self.0[usize::from(row)][word] & Bits::mask(word, first, last);
+            (clear != 0).then(|| word * 64 + clear.trailing_zeros() as usize)
+        })
     }
 
     /// Whether the columns `first` to `last` of a row are all set.
@@ -119,12 +128,20 @@ impl Scale {
         range.map(|at| self.tiles[axis][at])
     }
 
-    /// The rows of pixels of a row of tiles, first to last.
-    fn rows(&self, tile: u8) -> [usize; 2] {
-        let [from, end] = self.part[1];
-        let (pixels, tile) = (end - from, usize::from(tile));
-        let count = ROWS.min(pixels);
-        [from + first_of(tile, pixels, count), from + first_of(tile + 1, pixels, count) - 1]
+    /// The pixels of a row of tiles, first to last.
+    fn rows(&self, tile: usize) -> [usize; 2] {
+        self.pixels(1, ROWS, tile)
+    }
+
+    /// The pixels of a column of tiles, first to last.
+    fn columns(&self, tile: usize) -> [usize; 2] {
+        self.pixels(0, COLUMNS, tile)
+    }
+
+    fn pixels(&self, axis: usize, most: usize, tile: usize) -> [usize; 2] {
+        let [from, end] = self.part[axis];
+        let count = most.min(end - from);
+        [from + first_of(tile, end - from, count), from + first_of(tile + 1, end - from, count) - 1]
     }
 }
 
@@ -181,10 +198,16 @@ impl OccupancyMap {
                 return false;
             }
             // One row of pixels speaks for its tiles: what another would add costs as much again.
-            let [first, last] = self.scale.rows(row);
+            let [first, last] = self.scale.rows(usize::from(row));
             let middle = (first.max(y[0]) + last.min(y[1])) / 2;
-            let columns = self.scale.clip(0, image.columns(middle as i32)).map(|columns| self.scale.tiles(0, columns));
-            columns.is_some_and(|[first, last]| !self.bits.are_set(row, first, last))
+            let Some(columns) = self.scale.clip(0, image.columns(middle as i32)) else { return false };
+            let [first, last] = self.scale.tiles(0, columns);
+            // Images of boxes are rounded outward, and a pixel beyond the box itself may show nothing of it: no depth at all.
+            self.bits.first_clear(row, first, last).is_some_and(|tile| {
+                let column = self.scale.columns(tile)[0].max(columns[0]);
+                let [begin, end] = image.columns(middle as i32).map(|at| at as usize);
+                image.front(middle, [begin, end]).passing(column - begin, &[0.0]) > 0
+            })
         })
     }
 
@@ -251,11 +274,13 @@ pub(crate) fn foresee(map: &OccupancyMap, depth: &DepthBuffer, aabb: &Aabb) -> F
 fn corner_passes(depth: &DepthBuffer, image: &BoxImage) -> bool {
     let mut z_tests = 0;
     let seen = image.corners().any(|[x, y]| {
-        let columns = image.columns(y).map(|x| x as usize);
-        let [first, last] = columns;
-        let inside = (first..=last).contains(&(x as usize));
-        z_tests += usize::from(inside);
-        inside && image.front(y as usize, columns).passing(x as usize - first, &depth.row(y as usize)[x as usize..=x as usize]) > 0
+        let [first, last] = image.columns(y);
+        if !(first..=last).contains(&x) {
+            return false;
+        }
+        z_tests += 1;
+        let [first, last, x, y] = [first, last, x, y].map(|at| at as usize);
+        image.front(y, [first, last]).passing(x - first, &depth.row(y)[x..=x]) > 0
     });
     depth.count_query(z_tests, seen);
     seen
