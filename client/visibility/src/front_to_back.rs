@@ -8,7 +8,10 @@ use crate::culler::everything;
 use crate::occupancy_map::{Batches, Foreseen, Occupancy, OccupancyMap, foresee};
 use crate::query::{test, test_image};
 use crate::raster_sampled::{BoxImage, Marks};
-use crate::{Aabb, DepthBuffer, CellId, Culled, Culler, EyeRegion, Octree, OctreeRules, Scene, Scratch, Tessellation, Traversal, View};
+use crate::{
+    Aabb, CellId, Culled, Culler, DepthBuffer, EyeRegion, Octree, OctreeRules, Scene, Scratch, Tessellation, Traversal,
+    View,
+};
 
 /// The cells in view, sorted by distance from the eye; each is queried, and drawn at once if it is seen.
 ///

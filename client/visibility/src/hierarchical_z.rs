@@ -11,10 +11,11 @@ use std::cell::Cell;
 use std::sync::Arc;
 
 use crate::culler::everything;
+use crate::occupancy_map::corner_passes;
 use crate::raster_sampled::{BoxImage, BoxPlace, TILE};
 use crate::{
-    Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, OccupancyMap, Occlusion, Octree, OctreeRules, Scene, Scratch, Tessellation,
-    Traversal, Triangle, View,
+    Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, OccupancyMap, Octree, OctreeRules, Scene, Scratch,
+    Tessellation, Traversal, Triangle, View,
 };
 
 /// An octree against a Z-pyramid. An eye region that is not the view's eye gets everything.
@@ -112,7 +113,9 @@ impl PyramidImage {
             BoxPlace::Outside => false,
             BoxPlace::Touching => true,
             BoxPlace::In(image) => {
-                self.map.as_ref().is_some_and(|map| map.shows(&image)) || self.pyramid.sees_image(&self.depth, &image)
+                let foreseen =
+                    self.map.as_ref().is_some_and(|map| map.shows(&image) || corner_passes(&self.depth, &image));
+                foreseen || self.pyramid.sees_image(&self.depth, &image)
             }
         }
     }

@@ -270,8 +270,14 @@ pub(crate) fn foresee(map: &OccupancyMap, depth: &DepthBuffer, aabb: &Aabb) -> F
     }
 }
 
-/// Whether the box may be seen in the pixel of one of its corners.
-fn corner_passes(depth: &DepthBuffer, image: &BoxImage) -> bool {
+/// A query of fewer rows of pixels costs no more than eight corners.
+const CORNER_ROWS: i32 = 16;
+
+/// Whether the box may be seen in the pixel of one of its corners. Not asked of small boxes.
+pub(crate) fn corner_passes(depth: &DepthBuffer, image: &BoxImage) -> bool {
+    if image.y[1] - image.y[0] < CORNER_ROWS {
+        return false;
+    }
     let mut z_tests = 0;
     let seen = image.corners().any(|[x, y]| {
         let [first, last] = image.columns(y);

@@ -6,7 +6,7 @@ use crate::front_to_back::{Leaves, Maps};
 use crate::hierarchical_z::PyramidImage;
 use crate::{
     Aabb, Bound, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, LargeOccluderScratch, MaskedCplpScratch, Occluders,
-    Occupancy, Occlusion, PlpScratch, QueryBackEnd, QueryKind, Resolution, Triangle, UnderOcclusion, View,
+    Occlusion, Occupancy, PlpScratch, QueryBackEnd, QueryKind, Resolution, Triangle, UnderOcclusion, View,
 };
 
 /// What one worker needs to cull. What a culler does not use stays empty.

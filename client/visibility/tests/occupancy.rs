@@ -41,11 +41,7 @@ fn one_map_keeps_every_answer_where_each_cell_is_asked_alone() {
     let sampled = CplpCuller::new(scene.clone(), cplp.clone(), Budget::default());
     let single = CplpQueryCuller::new(scene.clone(), cplp, Budget::default(), QueryKind::OneAtATime);
     let pairs: [(&str, Box<dyn Culler>, Box<dyn Culler>); 3] = [
-        (
-            "front to back",
-            Box::new(front_to_back.clone()),
-            Box::new(front_to_back.with_occupancy(Occupancy::Single)),
-        ),
+        ("front to back", Box::new(front_to_back.clone()), Box::new(front_to_back.with_occupancy(Occupancy::Single))),
         ("hierarchical Z", Box::new(pyramid.clone()), Box::new(pyramid.with_occupancy_map(true))),
         ("cPLP", Box::new(sampled.clone()), Box::new(sampled.with_occupancy_map(true))),
     ];
@@ -63,7 +59,10 @@ fn one_map_keeps_every_answer_where_each_cell_is_asked_alone() {
     let [kept, pixels] = sums(&single, &scene, &views(6, 10));
     let [with_kept, with_pixels] = sums(&single.with_occupancy(Occupancy::Single), &scene, &views(6, 10));
     // Nearest corners come first here, and the least solid cell does there.
-    assert!(with_kept * 100 <= kept * 102 && with_pixels * 100 <= pixels * 45, "{with_kept} {with_pixels} {kept} {pixels}");
+    assert!(
+        with_kept * 100 <= kept * 102 && with_pixels * 100 <= pixels * 45,
+        "{with_kept} {with_pixels} {kept} {pixels}"
+    );
 }
 
 #[test]
@@ -74,7 +73,10 @@ fn maps_spare_pixels_and_batches_keep_fewer_than_whole_fronts() {
         let culler = CplpQueryCuller::new(scene.clone(), cplp.clone(), Budget::default(), kind);
         let [off, single, batched] = [Occupancy::Off, Occupancy::Single, Occupancy::Batched]
             .map(|occupancy| sums(&culler.clone().with_occupancy(occupancy), &scene, &views(6, 10)));
-        assert!(off[1] > 0 && single[1] * 100 <= off[1] * 45 && batched[1] * 100 <= off[1] * 45, "{kind}: {off:?} {single:?} {batched:?}");
+        assert!(
+            off[1] > 0 && single[1] * 100 <= off[1] * 45 && batched[1] * 100 <= off[1] * 45,
+            "{kind}: {off:?} {single:?} {batched:?}"
+        );
         assert!(batched[0] <= single[0] && single[0] <= off[0], "{kind}: {off:?} {single:?} {batched:?}");
     }
 }

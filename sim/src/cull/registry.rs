@@ -9,9 +9,9 @@ use std::sync::Arc;
 use eyeline_visibility::{
     Aabb, Budget, CentroidOrder, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, Delaunay,
     DelaunayRules, DepthBuffer, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree, LargeOccluder,
-    LargeOccluderRules, MaskedCplp, Occluders, Occupancy, Occlusion, Octree, OctreeRules, Plp, PlpCells, PlpCuller, PlpRules,
-    QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, Triangle, View,
-    ZBuffer,
+    LargeOccluderRules, MaskedCplp, Occluders, Occlusion, Occupancy, Octree, OctreeRules, Plp, PlpCells, PlpCuller,
+    PlpRules, QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, Triangle,
+    View, ZBuffer,
 };
 
 use super::budget::AskedBudget;

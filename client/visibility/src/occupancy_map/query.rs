@@ -22,7 +22,14 @@ impl<B: QueryBackEnd> OccupancyQuery<B> {
     /// Puts maps before a back end. [`Occupancy::Off`] is as [`Occupancy::Single`].
     pub fn new(inner: B, occupancy: Occupancy) -> OccupancyQuery<B> {
         let batches = (occupancy == Occupancy::Batched).then(Box::default);
-        OccupancyQuery { inner, map: OccupancyMap::new(), batches, left: Vec::new(), left_at: Vec::new(), left_seen: Vec::new() }
+        OccupancyQuery {
+            inner,
+            map: OccupancyMap::new(),
+            batches,
+            left: Vec::new(),
+            left_at: Vec::new(),
+            left_seen: Vec::new(),
+        }
     }
 
     /// Where was drawn.

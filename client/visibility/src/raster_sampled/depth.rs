@@ -5,7 +5,7 @@ use std::cell::Cell;
 use super::boxes::{BoxImage, BoxPlace};
 use super::seal;
 use super::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
-use crate::{Aabb, Bound, OccupancyMap, Occlusion, Scene, SealedFace, Target, Triangle, View};
+use crate::{Aabb, Bound, Occlusion, OccupancyMap, Scene, SealedFace, Target, Triangle, View};
 
 /// Side of a tile in pixels.
 pub(crate) const TILE: usize = 8;
@@ -229,8 +229,21 @@ impl DepthBuffer {
         match self.place(aabb) {
             Place::Outside => false,
             Place::Touching => true,
-            Place::In { x, y, z } => map.shows_rectangle([x, y]) || self.sees_rectangle(x, y, z),
+            Place::In { x, y, z } => {
+                map.shows_rectangle([x, y]) || self.sees_at_corners(x, y, z) || self.sees_rectangle(x, y, z)
+            }
         }
+    }
+
+    /// Whether a corner of a rectangle of several tiles is no nearer than `z`: four pixels, where tiles have 64 each.
+    fn sees_at_corners(&self, x: [usize; 2], y: [usize; 2], z: f32) -> bool {
+        if y[1] - y[0] < TILE || x[1] - x[0] < TILE {
+            return false;
+        }
+        let corners = [[x[0], y[0]], [x[1], y[0]], [x[0], y[1]], [x[1], y[1]]];
+        let nearer = corners.iter().take_while(|[x, y]| self.depths[y * self.tiles_x * TILE + x] > z).count();
+        self.count_query(corners.len().min(nearer + 1), nearer < corners.len());
+        nearer < corners.len()
     }
 
     /// Whether any pixel of a rectangle is no nearer than `z`.

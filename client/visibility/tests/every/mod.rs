@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use eyeline_visibility::{
     Budget, Cplp, CplpCuller, CplpQueryCuller, Culler, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree,
-    LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Occupancy, Octree, OctreeRules, QueryFrontToBack, QueryKind,
-    RegionCuller, Scene, Scratch, Tessellation, View, ZBuffer, exact_set, wrong_pixels,
+    LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Occupancy, Octree, OctreeRules, QueryFrontToBack,
+    QueryKind, RegionCuller, Scene, Scratch, Tessellation, View, ZBuffer, exact_set, wrong_pixels,
 };
 
 /// A culler and what failures call it.
@@ -42,10 +42,7 @@ pub fn cullers(scene: &Arc<Scene>) -> Vec<Named> {
         named("cPLP in a kD-tree", CplpCuller::new(scene.clone(), in_kd.clone(), Budget::default())),
         named("front to back", QueryFrontToBack::new(scene.clone(), octree.clone())),
         named("hierarchical Z", HierarchicalZ::new(scene.clone(), octree.clone())),
-        named(
-            "hierarchical Z, mapped",
-            HierarchicalZ::new(scene.clone(), octree.clone()).with_occupancy_map(true),
-        ),
+        named("hierarchical Z, mapped", HierarchicalZ::new(scene.clone(), octree.clone()).with_occupancy_map(true)),
         named(
             "cPLP, mapped",
             CplpCuller::new(scene.clone(), in_octree.clone(), Budget::default()).with_occupancy_map(true),
