@@ -34,6 +34,7 @@ mod plp_cells;
 mod plp_coverage;
 mod plp_culler;
 mod plp_rules;
+mod prisms;
 mod pyramid;
 mod query;
 mod raster_sampled;
@@ -46,7 +47,9 @@ mod sealed;
 mod shaft;
 mod sheets;
 mod split_octree;
+mod storeys;
 mod tessellation;
+mod tessellation_file;
 mod under;
 mod under_extent;
 mod under_face;
@@ -79,6 +82,7 @@ pub use plp::{Plp, PlpScratch, PlpStep, PlpTraversal};
 pub use plp_cells::PlpCells;
 pub use plp_culler::{CentroidOrder, PlpCuller};
 pub use plp_rules::{PlpRules, Requeue, Seeds, Solidity, SolidityMax, Transfer};
+pub use prisms::{Prisms, PrismsError};
 pub use query::{
     CplpQueryCuller, CpuQuery, HistogramQuery, ItemBufferQuery, OneAtATimeQuery, PerFragmentHistogram, QueryBackEnd,
     QueryCost, QueryKind, TILE_SIDE,
@@ -92,6 +96,7 @@ pub use scratch::Scratch;
 pub use sealed::SealedFace;
 pub use split_octree::{References, SplitOctree, SplitRules, SplitStats, Update};
 pub use tessellation::{CellId, Cells, Face, Neighbour, Tessellation};
+pub use tessellation_file::{AnyTessellation, TessellationError, TessellationFault, TessellationFileError};
 pub use under::{RegionError, UnderOcclusion, UnderStats};
 pub use view::{EyeRegion, Resolution, View, ViewError};
 pub use wedge::Wedge;

@@ -7,11 +7,11 @@
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, Budget, CentroidOrder, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled, Culler, Delaunay,
-    DelaunayRules, DepthBuffer, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree, LargeOccluder,
-    LargeOccluderRules, MaskedCplp, Occluders, Occlusion, Occupancy, Octree, OctreeRules, Plp, PlpCells, PlpCuller,
-    PlpRules, QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch, Tessellation, Triangle,
-    View, ZBuffer,
+    Aabb, AnyTessellation, Budget, CentroidOrder, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled,
+    Culler, Delaunay, DelaunayError, DelaunayRules, DepthBuffer, EyeRegion, FrustumBackface, HierarchicalZ, KdRules,
+    KdTree, LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Occlusion, Occupancy, Octree, OctreeRules, Plp,
+    PlpCells, PlpCuller, PlpRules, QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch,
+    Tessellation, Triangle, View, ZBuffer,
 };
 
 use super::budget::AskedBudget;
@@ -187,13 +187,44 @@ pub struct Shop {
     kd_tree: Option<Arc<KdTree>>,
     occluders: Option<Arc<Occluders>>,
     plp_octree: Option<PlpCells>,
-    delaunay: Option<PlpCells>,
+    delaunay: Option<Result<Arc<Delaunay>, DelaunayError>>,
+    prisms: Option<Result<Arc<Prisms>, PrismsError>>,
 }
 
 impl Shop {
     /// A shop for a scene.
     pub fn new(scene: Arc<Scene>) -> Shop {
-        Shop { scene, octree: None, kd_tree: None, occluders: None, plp_octree: None, delaunay: None }
+        Shop { scene, octree: None, kd_tree: None, occluders: None, plp_octree: None, delaunay: None, prisms: None }
+    }
+
+    /// The same with a tessellation that was made before, in place of the one of its kind.
+    pub fn with_tessellation(mut self, made: AnyTessellation) -> Shop {
+        match made {
+            AnyTessellation::Octree(octree) => {
+                self.plp_octree = Some(PlpCells::Boxes(octree.clone()));
+                self.octree = Some(octree);
+            }
+            AnyTessellation::KdTree(kd_tree) => self.kd_tree = Some(kd_tree),
+            AnyTessellation::Delaunay(delaunay) => self.delaunay = Some(Ok(delaunay)),
+            AnyTessellation::Prisms(prisms) => self.prisms = Some(Ok(prisms)),
+        }
+        self
+    }
+
+    /// Which tessellation stands in for the one that a setting names, and why, if that could not be made.
+    pub fn instead(&self, setting: &Setting) -> Option<(&'static str, String)> {
+        let why = match setting.tessellation? {
+            PRISMS => self.prisms.as_ref()?.as_ref().err()?.to_string(),
+            DELAUNAY => self.delaunay.as_ref()?.as_ref().err()?.to_string(),
+            _ => return None,
+        };
+        Some((OCTREE, why))
+    }
+
+    /// Prisms, or why there are none.
+    fn prisms(&mut self) -> Option<Arc<Prisms>> {
+        let scene = &self.scene;
+        self.prisms.get_or_insert_with(|| Prisms::build(scene).map(Arc::new)).clone().ok()
     }
 
     /// The scene.
@@ -213,6 +244,11 @@ impl Shop {
                 let kd_tree = &mut self.kd_tree;
                 kd_tree.get_or_insert_with(|| Arc::new(KdTree::build(&self.scene, KdRules::default()))).clone()
             }
+            // Where there are no storeys the octree stands in for prisms.
+            Some(PRISMS) => match self.prisms() {
+                Some(prisms) => prisms,
+                None => self.octree(),
+            },
             _ => self.octree(),
         }
     }
@@ -222,23 +258,23 @@ impl Shop {
         Arc::new(Cplp::new(self.tessellation(setting)))
     }
 
-    /// The cells that PLP walks: octree leaves by the paper's rules, or tetrahedra over them. Where no tetrahedra can be made,
+    /// The cells that PLP walks: octree leaves by the paper's rules, tetrahedra over them, or prisms. Where these cannot be made,
     /// the octree stands in for them.
     pub fn plp_cells(&mut self, setting: &Setting) -> PlpCells {
         let scene = &self.scene;
-        let octree = &mut self.plp_octree;
-        let mut octree = || {
+        let made = match setting.tessellation {
+            Some(PRISMS) => self.prisms().map(PlpCells::Prisms),
+            Some(DELAUNAY) => {
+                let made = || Delaunay::build(scene, DelaunayRules::default()).map(Arc::new);
+                self.delaunay.get_or_insert_with(made).clone().ok().map(PlpCells::Tetrahedra)
+            }
+            _ => None,
+        };
+        made.unwrap_or_else(|| {
+            let scene = &self.scene;
             let made = || PlpCells::Boxes(Arc::new(Octree::build(scene, OctreeRules::paper())));
-            octree.get_or_insert_with(made).clone()
-        };
-        if setting.tessellation == Some(OCTREE) {
-            return octree();
-        }
-        let made = || match Delaunay::build(scene, DelaunayRules::default()) {
-            Ok(delaunay) => PlpCells::Tetrahedra(Arc::new(delaunay)),
-            Err(_) => octree(),
-        };
-        self.delaunay.get_or_insert_with(made).clone()
+            self.plp_octree.get_or_insert_with(made).clone()
+        })
     }
 
     /// PLP over the cells that a setting names.
@@ -275,6 +311,7 @@ const CPLP_QUERIES_BATCHED: [&str; 4] = ["per-fragment-histogram", "item-buffer"
 const DELAUNAY: &str = "delaunay";
 const OCTREE: &str = "octree";
 const KD_TREE: &str = "kd-tree";
+const PRISMS: &str = "prisms";
 
 /// All cullers that can be named.
 #[derive(Clone, Debug)]
@@ -384,7 +421,7 @@ impl Registry {
                 about: "conservative PLP: cells of a tessellation from the eye outward, queried against what was drawn",
                 conservative: true,
                 by_rays: false,
-                tessellations: &[OCTREE, KD_TREE],
+                tessellations: &[OCTREE, KD_TREE, PRISMS],
                 queries: CPLP_QUERIES,
                 budget: Some(CPLP_BUDGET),
                 make: |shop, setting| cplp(shop, setting, Occupancy::Off),
@@ -394,7 +431,7 @@ impl Registry {
                 about: "the same, with a map of where was drawn that spares queries of cells that are certainly seen (Staneker)",
                 conservative: true,
                 by_rays: false,
-                tessellations: &[OCTREE, KD_TREE],
+                tessellations: &[OCTREE, KD_TREE, PRISMS],
                 queries: CPLP_QUERIES,
                 budget: Some(CPLP_BUDGET),
                 make: |shop, setting| cplp(shop, setting, Occupancy::Single),
@@ -404,7 +441,7 @@ impl Registry {
                 about: "the same, with four more maps that arrange what is left of a front into batches",
                 conservative: true,
                 by_rays: false,
-                tessellations: &[OCTREE, KD_TREE],
+                tessellations: &[OCTREE, KD_TREE, PRISMS],
                 queries: &CPLP_QUERIES_BATCHED,
                 budget: Some(CPLP_BUDGET),
                 make: |shop, setting| cplp(shop, setting, Occupancy::Batched),
@@ -414,7 +451,7 @@ impl Registry {
                 about: "PLP within a budget by its default rule: cells by how much of them looks covered, not conservative",
                 conservative: false,
                 by_rays: false,
-                tessellations: &[DELAUNAY, OCTREE],
+                tessellations: &[DELAUNAY, OCTREE, PRISMS],
                 queries: &[],
                 budget: Some(PLP_BUDGET),
                 make: |shop, setting| Box::new(WithScratch::new(shop.plp(setting, PlpRules::default()))),
@@ -424,7 +461,7 @@ impl Registry {
                 about: "PLP within a budget by the paper's rule: solidity from counts of triangles, not conservative",
                 conservative: false,
                 by_rays: false,
-                tessellations: &[DELAUNAY, OCTREE],
+                tessellations: &[DELAUNAY, OCTREE, PRISMS],
                 queries: &[],
                 budget: Some(PLP_BUDGET),
                 make: |shop, setting| Box::new(WithScratch::new(shop.plp(setting, PlpRules::paper()))),
@@ -460,7 +497,7 @@ impl Registry {
                 about: "cells in view by distance, one query each: the paper's HP baseline",
                 conservative: true,
                 by_rays: false,
-                tessellations: &[OCTREE, KD_TREE],
+                tessellations: &[OCTREE, KD_TREE, PRISMS],
                 queries: &["sampled"],
                 budget: None,
                 make: |shop, setting| query_front_to_back(shop, setting, Occupancy::Off),
@@ -470,7 +507,7 @@ impl Registry {
                 about: "the same, with a map of where was drawn that spares queries of cells that are certainly seen (Staneker)",
                 conservative: true,
                 by_rays: false,
-                tessellations: &[OCTREE, KD_TREE],
+                tessellations: &[OCTREE, KD_TREE, PRISMS],
                 queries: &["sampled"],
                 budget: None,
                 make: |shop, setting| query_front_to_back(shop, setting, Occupancy::Single),
@@ -480,7 +517,7 @@ impl Registry {
                 about: "the same, with what is left asked in five batches after that, as four more maps arrange them",
                 conservative: true,
                 by_rays: false,
-                tessellations: &[OCTREE, KD_TREE],
+                tessellations: &[OCTREE, KD_TREE, PRISMS],
                 queries: &["sampled"],
                 budget: None,
                 make: |shop, setting| query_front_to_back(shop, setting, Occupancy::Batched),
@@ -516,7 +553,7 @@ impl Registry {
                 about: "for every eye of a ball and every resolution: under-estimating coverage with supporting planes",
                 conservative: true,
                 by_rays: true,
-                tessellations: &[OCTREE, KD_TREE],
+                tessellations: &[OCTREE, KD_TREE, PRISMS],
                 queries: &["under"],
                 budget: None,
                 make: |shop, setting| {
@@ -684,7 +721,7 @@ mod tests {
             labels(&registry, &sweep(&["cplp", "zbuffer", "cplp"], &["octree"], &["sampled"], &[0, 500, 0])),
             ["cplp · octree · sampled · 0", "cplp · octree · sampled · 500", "zbuffer"]
         );
-        assert_eq!(labels(&registry, &sweep(&["cplp"], &["all"], &["all"], &[])).len(), 2 * 6);
+        assert_eq!(labels(&registry, &sweep(&["cplp"], &["all"], &["all"], &[])).len(), 3 * 6);
         let other = Entry { name: "other", tessellations: &["slabs", "octree"], ..*registry.entry("cplp").unwrap() };
         let registry = registry.with(other);
         assert_eq!(
@@ -706,7 +743,7 @@ mod tests {
         );
         assert!(
             message(&sweep(&[], &["bsp"], &[], &[]))
-                .contains("no tessellation `bsp`; known: delaunay, kd-tree, octree")
+                .contains("no tessellation `bsp`; known: delaunay, kd-tree, octree, prisms")
         );
         assert!(message(&sweep(&[], &[], &["gpu"], &[])).contains("no query `gpu`; known: histogram, "));
         let other = Entry { name: "other", tessellations: &["slabs"], ..*registry.entry("cplp").unwrap() };

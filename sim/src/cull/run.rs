@@ -74,7 +74,11 @@ pub fn run(
     registry: &Registry,
     mut each_view: impl FnMut(),
 ) -> Outcome {
-    let mut shop = Shop::new(world.scene.clone());
+    let shop = Shop::new(world.scene.clone());
+    let mut shop = match &world.tessellation {
+        Some(made) => shop.with_tessellation(made.clone()),
+        None => shop,
+    };
     let mut made: Vec<(&Setting, &Entry, f64, Box<dyn Candidate>)> = Vec::new();
     for setting in &config.settings {
         let Some(entry) = registry.entry(setting.culler) else { continue };
@@ -114,7 +118,9 @@ pub fn run(
                         outcome.pictures.extend(pictures.into_iter().map(named));
                     }
                 }
-                let about = About { world, setting, conservative: entry.conservative, build_ms: *build_ms, config };
+                let instead = shop.instead(setting);
+                let about =
+                    About { world, setting, instead, conservative: entry.conservative, build_ms: *build_ms, config };
                 outcome.rows.push(tally.row(&about, resolution, radius));
             }
             if let Some(view) = views.first().filter(|_| first) {
@@ -362,6 +368,7 @@ struct Tally {
 struct About<'a> {
     world: &'a World,
     setting: &'a Setting,
+    instead: Option<(&'static str, String)>,
     conservative: bool,
     build_ms: f64,
     config: &'a CullConfig,
@@ -422,7 +429,8 @@ impl Tally {
         CullRow {
             world: about.world.name.clone(),
             culler: about.setting.culler.to_owned(),
-            tessellation: about.setting.tessellation.map(Into::into),
+            tessellation: about.instead.as_ref().map(|(name, _)| *name).or(about.setting.tessellation).map(Into::into),
+            tessellation_why: about.instead.as_ref().map(|(_, why)| why.clone()),
             query: about.setting.query.map(Into::into),
             budget: about.setting.budget.as_ref().map(|budget| budget.text().to_owned()),
             budget_triangles: about.setting.budget.as_ref().map(|budget| budget.triangles(total)),

@@ -33,11 +33,12 @@ fn any_view(rng: &mut Pcg64, resolution: Resolution) -> View {
     View { eye: DVec3::Z * distance, orientation: turn, fov_x, resolution, near: 0.01 }
 }
 
+/// Among the triangles, or behind them.
 fn any_box(rng: &mut Pcg64) -> Aabb {
     let mut unit = || rng.random_range(-1.0..1.0);
-    let size = 10.0_f64.powf(unit());
+    let size = 10.0_f64.powf(unit() - 0.5);
     let half = DVec3::new(unit(), unit(), unit()).abs() * size;
-    Aabb::around(DVec3::new(unit(), unit(), unit()) * 6.0, half)
+    Aabb::around(DVec3::new(unit() * 5.0, unit() * 5.0, unit() * 10.0 - 8.0), half)
 }
 
 /// The tile of a pixel, by the definition.
@@ -111,7 +112,10 @@ fn what_a_map_shows_a_query_sees() {
     let (mut shown, mut seen, mut hidden, mut by_corner, mut asked) = (0, 0, 0, 0, 0);
     for i in 0..40 {
         let view = any_view(&mut rng, RESOLUTIONS[i % RESOLUTIONS.len()]);
-        let scene = triangles(&mut rng, 30);
+        // The first one hides most of what is behind, as a wall with holes would.
+        let mut all = triangles(&mut rng, 30).triangles().to_vec();
+        all[0].corners = [[-9.0, -6.0, 0.0], [9.0, -6.0, 0.0], [0.0, 12.0, 0.0]].map(glam::Vec3::from_array);
+        let scene = Scene::from_triangles(all);
         let (mut depth, mut map) = (DepthBuffer::new(&view), OccupancyMap::new());
         map.begin(&depth, &scene.bounds());
         for id in 0..30 {
@@ -142,7 +146,7 @@ fn what_a_map_shows_a_query_sees() {
             }
         }
     }
-    assert!(shown * 2 > seen && hidden > 200 && by_corner > 20, "{shown} and {by_corner} of {seen} of {asked}");
+    assert!(shown * 3 > seen && hidden > 200 && by_corner > 5, "{shown} and {by_corner} of {seen} of {asked}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use eyeline_visibility::{
     Budget, Cplp, CplpCuller, CplpQueryCuller, Culler, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree,
-    LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Occupancy, Octree, OctreeRules, QueryFrontToBack,
+    LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Occupancy, Octree, OctreeRules, Prisms, QueryFrontToBack,
     QueryKind, RegionCuller, Scene, Scratch, Tessellation, View, ZBuffer, exact_set, wrong_pixels,
 };
 
@@ -65,7 +65,23 @@ pub fn cullers(scene: &Arc<Scene>) -> Vec<Named> {
         let culler = QueryFrontToBack::new(scene.clone(), octree_again.clone()).with_occupancy(occupancy);
         cullers.push(named(format!("front to back, {occupancy:?}"), culler));
     }
+    cullers.extend(in_prisms(scene));
     cullers
+}
+
+/// What walks any cells, over prisms: none where the scene has no storeys.
+pub fn in_prisms(scene: &Arc<Scene>) -> Vec<Named> {
+    let Ok(prisms) = Prisms::build(scene).map(Arc::new) else { return Vec::new() };
+    let cplp = Arc::new(Cplp::new(prisms.clone()));
+    let query = CplpQueryCuller::new(scene.clone(), cplp.clone(), Budget::default(), QueryKind::ItemBufferTiled);
+    vec![
+        named("cPLP in prisms", CplpCuller::new(scene.clone(), cplp.clone(), Budget::default())),
+        named("cPLP 0 in prisms", CplpCuller::new(scene.clone(), cplp.clone(), Budget { triangles: 0 })),
+        named("item-buffer-tiled in prisms", query.clone()),
+        named("item-buffer-tiled in prisms, batched", query.with_occupancy(Occupancy::Batched)),
+        named("front to back in prisms", QueryFrontToBack::new(scene.clone(), prisms.clone())),
+        named("masks instead of prisms", MaskedCplp::new(scene.clone(), prisms)),
+    ]
 }
 
 /// Walks against coverage masks with all, the default, and no occluders.
