@@ -11,7 +11,7 @@ use std::cell::Cell;
 use std::sync::Arc;
 
 use crate::culler::everything;
-use crate::occupancy_map::corner_passes;
+use crate::occupancy_map::{PYRAMID_CORNER_ROWS, corner_passes};
 use crate::raster_sampled::{BoxImage, BoxPlace, TILE};
 use crate::{
     Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, OccupancyMap, Octree, OctreeRules, Scene, Scratch,
@@ -113,8 +113,10 @@ impl PyramidImage {
             BoxPlace::Outside => false,
             BoxPlace::Touching => true,
             BoxPlace::In(image) => {
-                let foreseen =
-                    self.map.as_ref().is_some_and(|map| map.shows(&image) || corner_passes(&self.depth, &image));
+                let foreseen = self
+                    .map
+                    .as_ref()
+                    .is_some_and(|map| map.shows(&image) || corner_passes(&self.depth, &image, PYRAMID_CORNER_ROWS));
                 foreseen || self.pyramid.sees_image(&self.depth, &image)
             }
         }

@@ -265,17 +265,18 @@ pub(crate) fn foresee(map: &OccupancyMap, depth: &DepthBuffer, aabb: &Aabb) -> F
     match depth.box_place(aabb) {
         BoxPlace::Outside => Foreseen::Known(false),
         BoxPlace::Touching => Foreseen::Known(true),
-        BoxPlace::In(image) if map.shows(&image) || corner_passes(depth, &image) => Foreseen::Known(true),
+        BoxPlace::In(image) if map.shows(&image) || corner_passes(depth, &image, CORNER_ROWS) => Foreseen::Known(true),
         BoxPlace::In(image) => Foreseen::Unknown(image),
     }
 }
 
-/// A query of fewer rows of pixels costs no more than eight corners.
+/// A query of fewer rows of pixels costs no more than eight corners; one of a pyramid does.
 const CORNER_ROWS: i32 = 16;
+pub(crate) const PYRAMID_CORNER_ROWS: i32 = 4;
 
-/// Whether the box may be seen in the pixel of one of its corners. Not asked of small boxes.
-pub(crate) fn corner_passes(depth: &DepthBuffer, image: &BoxImage) -> bool {
-    if image.y[1] - image.y[0] < CORNER_ROWS {
+/// Whether the box may be seen in the pixel of one of its corners. Not asked of a box of fewer than so many rows.
+pub(crate) fn corner_passes(depth: &DepthBuffer, image: &BoxImage, rows: i32) -> bool {
+    if image.y[1] - image.y[0] < rows {
         return false;
     }
     let mut z_tests = 0;

@@ -10,8 +10,8 @@ use eyeline_visibility::{
     Aabb, AnyTessellation, Budget, CentroidOrder, Cplp, CplpCuller, CplpQueryCuller, CplpScratch, CpuQuery, Culled,
     Culler, Delaunay, DelaunayError, DelaunayRules, DepthBuffer, EyeRegion, FrustumBackface, HierarchicalZ, KdRules,
     KdTree, LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Occlusion, Occupancy, Octree, OctreeRules, Plp,
-    PlpCells, PlpCuller, PlpRules, QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round, Scene, Scratch,
-    Tessellation, Triangle, View, ZBuffer,
+    PlpCells, PlpCuller, PlpRules, Prisms, PrismsError, QueryBackEnd, QueryFrontToBack, QueryKind, RegionCuller, Round,
+    Scene, Scratch, Tessellation, Triangle, View, ZBuffer,
 };
 
 use super::budget::AskedBudget;
