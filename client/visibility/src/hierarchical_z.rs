@@ -11,7 +11,7 @@ use std::cell::Cell;
 use std::sync::Arc;
 
 use crate::culler::everything;
-use crate::occupancy_map::{PYRAMID_CORNER_ROWS, corner_passes};
+use crate::occupancy_map::{PYRAMID_CORNER_ROWS, few_pixels_pass};
 use crate::raster_sampled::{BoxImage, BoxPlace, TILE};
 use crate::{
     Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, OccupancyMap, Octree, OctreeRules, Scene, Scratch,
@@ -116,7 +116,7 @@ impl PyramidImage {
                 let foreseen = self
                     .map
                     .as_ref()
-                    .is_some_and(|map| map.shows(&image) || corner_passes(&self.depth, &image, PYRAMID_CORNER_ROWS));
+                    .is_some_and(|map| map.shows(&image) || few_pixels_pass(&self.depth, &image, PYRAMID_CORNER_ROWS));
                 foreseen || self.pyramid.sees_image(&self.depth, &image)
             }
         }

@@ -10,7 +10,8 @@
 //! silhouette: a tile without a mark has no pixel that was drawn, each of its pixels is as far as can be, and a query that
 //! looked at one of them would see the box. So answers are those of the query, and the visible set does not grow.
 //!
-//! What the map cannot tell may still be told by one pixel at each corner of the box (§6.1), and else by a query. Of those,
+//! What the map cannot tell may still be told by the pixel in the middle of the box or one of its corners (§6.1), and else by
+//! a query. Of those,
 //! [`Batches`] says which can be asked together (§3.2): four more maps of the tiles that boxes of a batch take up, and a batch
 //! for what is left.
 
@@ -260,12 +261,14 @@ pub(crate) enum Foreseen {
     Known(bool),
 }
 
-/// Looks at the map, and then at one pixel for each corner that the image shows (§6.1).
+/// Looks at the map, and then at the pixel in the middle and those of the corners (§6.1).
 pub(crate) fn foresee(map: &OccupancyMap, depth: &DepthBuffer, aabb: &Aabb) -> Foreseen {
     match depth.box_place(aabb) {
         BoxPlace::Outside => Foreseen::Known(false),
         BoxPlace::Touching => Foreseen::Known(true),
-        BoxPlace::In(image) if map.shows(&image) || corner_passes(depth, &image, CORNER_ROWS) => Foreseen::Known(true),
+        BoxPlace::In(image) if map.shows(&image) || few_pixels_pass(depth, &image, CORNER_ROWS) => {
+            Foreseen::Known(true)
+        }
         BoxPlace::In(image) => Foreseen::Unknown(image),
     }
 }
@@ -274,21 +277,23 @@ pub(crate) fn foresee(map: &OccupancyMap, depth: &DepthBuffer, aabb: &Aabb) -> F
 const CORNER_ROWS: i32 = 16;
 pub(crate) const PYRAMID_CORNER_ROWS: i32 = 4;
 
-/// Whether the box may be seen in the pixel of one of its corners. Not asked of a box of fewer than so many rows.
-pub(crate) fn corner_passes(depth: &DepthBuffer, image: &BoxImage, rows: i32) -> bool {
-    if image.y[1] - image.y[0] < rows {
-        return false;
-    }
+/// Whether the box may be seen in the pixel in its middle or, if it has so many rows, in that of one of its corners.
+pub(crate) fn few_pixels_pass(depth: &DepthBuffer, image: &BoxImage, corner_rows: i32) -> bool {
     let mut z_tests = 0;
-    let seen = image.corners().any(|[x, y]| {
-        let [first, last] = image.columns(y);
+    let mut passes = |x: i32, y: i32, [first, last]: [i32; 2]| {
         if !(first..=last).contains(&x) {
             return false;
         }
         z_tests += 1;
         let [first, last, x, y] = [first, last, x, y].map(|at| at as usize);
         image.front(y, [first, last]).passing(x - first, &depth.row(y)[x..=x]) > 0
-    });
+    };
+    // Most of what is seen at all is seen there. The paper's corners come next: an edge may look out from behind something.
+    let middle = image.y[0].midpoint(image.y[1]);
+    let columns = image.columns(middle);
+    let large = image.y[1] - image.y[0] >= corner_rows;
+    let seen = passes(columns[0].midpoint(columns[1]), middle, columns)
+        || (large && image.corners().any(|[x, y]| passes(x, y, image.columns(y))));
     depth.count_query(z_tests, seen);
     seen
 }

@@ -230,20 +230,21 @@ impl DepthBuffer {
             Place::Outside => false,
             Place::Touching => true,
             Place::In { x, y, z } => {
-                map.shows_rectangle([x, y]) || self.sees_at_corners(x, y, z) || self.sees_rectangle(x, y, z)
+                map.shows_rectangle([x, y]) || self.sees_in_few_pixels(x, y, z) || self.sees_rectangle(x, y, z)
             }
         }
     }
 
-    /// Whether a corner of a rectangle of several tiles is no nearer than `z`: four pixels, where tiles have 64 each.
-    fn sees_at_corners(&self, x: [usize; 2], y: [usize; 2], z: f32) -> bool {
-        if y[1] - y[0] < TILE || x[1] - x[0] < TILE {
-            return false;
-        }
-        let corners = [[x[0], y[0]], [x[1], y[0]], [x[0], y[1]], [x[1], y[1]]];
-        let nearer = corners.iter().take_while(|[x, y]| self.depths[y * self.tiles_x * TILE + x] > z).count();
-        self.count_query(corners.len().min(nearer + 1), nearer < corners.len());
-        nearer < corners.len()
+    /// Whether the middle of a rectangle or, if it is one of several tiles, one of its corners is no nearer than `z`: a few
+    /// pixels, where tiles have 64 each.
+    fn sees_in_few_pixels(&self, x: [usize; 2], y: [usize; 2], z: f32) -> bool {
+        let middle = [x[0].midpoint(x[1]), y[0].midpoint(y[1])];
+        let pixels = [middle, [x[0], y[0]], [x[1], y[0]], [x[0], y[1]], [x[1], y[1]]];
+        let large = y[1] - y[0] >= TILE && x[1] - x[0] >= TILE;
+        let pixels = &pixels[..if large { pixels.len() } else { 1 }];
+        let nearer = pixels.iter().take_while(|[x, y]| self.depths[y * self.tiles_x * TILE + x] > z).count();
+        self.count_query(pixels.len().min(nearer + 1), nearer < pixels.len());
+        nearer < pixels.len()
     }
 
     /// Whether any pixel of a rectangle is no nearer than `z`.
