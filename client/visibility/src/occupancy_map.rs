@@ -254,6 +254,7 @@ impl Marks for OccupancyMap {
 }
 
 /// What is known of a box before its pixels are asked about.
+#[expect(clippy::large_enum_variant, reason = "lives on the stack while a box is asked about")]
 pub(crate) enum Foreseen {
     /// Nothing: it must be asked about.
     Unknown(BoxImage),

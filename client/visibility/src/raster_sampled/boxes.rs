@@ -14,7 +14,6 @@ use super::setup::{DEPTH_SLACK, Projector, SNAP_PX};
 use crate::{Aabb, Face};
 
 /// What an image shows of a box.
-#[expect(clippy::large_enum_variant, reason = "lives on the stack while a box is drawn")]
 pub(crate) enum BoxPlace<T = BoxImage> {
     /// No pixel.
     Outside,
