@@ -20,6 +20,9 @@ fn cull(culler: &dyn Culler, view: &View, scratch: &mut Scratch) -> Culled {
     culler.cull(view, EyeRegion::point(view.eye), scratch)
 }
 
+/// A name, a culler, and the same with a map.
+type Pair = (&'static str, Box<dyn Culler>, Box<dyn Culler>);
+
 /// Kept triangles, and pixels queried of what was seen.
 fn sums(culler: &dyn Culler, scene: &Scene, views: &[View]) -> [u64; 2] {
     let mut scratch = Scratch::default();
@@ -40,7 +43,7 @@ fn one_map_keeps_every_answer_where_each_cell_is_asked_alone() {
     let pyramid = HierarchicalZ::new(scene.clone(), octree);
     let sampled = CplpCuller::new(scene.clone(), cplp.clone(), Budget::default());
     let single = CplpQueryCuller::new(scene.clone(), cplp, Budget::default(), QueryKind::OneAtATime);
-    let pairs: [(&str, Box<dyn Culler>, Box<dyn Culler>); 3] = [
+    let pairs: [Pair; 3] = [
         ("front to back", Box::new(front_to_back.clone()), Box::new(front_to_back.with_occupancy(Occupancy::Single))),
         ("hierarchical Z", Box::new(pyramid.clone()), Box::new(pyramid.with_occupancy_map(true))),
         ("cPLP", Box::new(sampled.clone()), Box::new(sampled.with_occupancy_map(true))),
