@@ -5,9 +5,9 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use crate::culler::everything;
-use crate::occupancy_map::{Batches, Foreseen, Occupancy, OccupancyMap, foresee};
+use crate::occupancy_map::{Batches, Occupancy, OccupancyMap, is_foreseen};
 use crate::query::{test, test_image};
-use crate::raster_sampled::{BoxImage, Marks};
+use crate::raster_sampled::{BoxImage, BoxPlace, BoxRectangle, Marks};
 use crate::{
     Aabb, CellId, Culled, Culler, DepthBuffer, EyeRegion, Octree, OctreeRules, Scene, Scratch, Tessellation, Traversal,
     View,
@@ -53,12 +53,22 @@ impl Culler for QueryFrontToBack {
         leaves.begin(&*self.tessellation);
         let batched = self.occupancy == Occupancy::Batched;
         let mut order = std::mem::take(&mut leaves.order);
+        maps.rectangles.clear();
         for cell in 0..self.tessellation.cell_count() as CellId {
             let aabb = self.tessellation.cell(cell);
-            if depth.in_view(aabb) {
-                let distance = if batched { nearest_corner(aabb, view.eye) } else { aabb.distance(view.eye) };
-                order.push((distance, cell));
-            }
+            let rectangle = match depth.rectangle(aabb) {
+                BoxPlace::Outside => continue,
+                BoxPlace::Touching => None,
+                BoxPlace::In(rectangle) => Some(rectangle),
+            };
+            let distance = if batched { nearest_corner(aabb, view.eye) } else { aabb.distance(view.eye) };
+            let number = if self.occupancy == Occupancy::Off {
+                cell
+            } else {
+                maps.rectangles.push((cell, rectangle));
+                maps.rectangles.len() as u32 - 1
+            };
+            order.push((distance, number));
         }
         order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let mut walk = Walk { culler: self, depth, leaves, done: Traversal::default() };
@@ -83,7 +93,7 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    fn ask_all(&mut self, order: &[(f64, CellId)]) {
+    fn ask_all(&mut self, order: &[(f64, u32)]) {
         for &(_, cell) in order {
             self.done.queries += 1;
             if test(self.depth, self.culler.tessellation.cell(cell)).0 {
@@ -92,34 +102,35 @@ impl Walk<'_> {
         }
     }
 
-    fn ask_what_is_not_foreseen(&mut self, order: &[(f64, CellId)], maps: &mut Maps) {
-        maps.map.begin(self.depth, &self.culler.tessellation.root());
-        for &(_, cell) in order {
-            let seen = match foresee(&maps.map, self.depth, self.culler.tessellation.cell(cell)) {
-                Foreseen::Known(seen) => seen,
-                Foreseen::Unknown(image) => {
+    fn ask_what_is_not_foreseen(&mut self, order: &[(f64, u32)], Maps { map, rectangles, .. }: &mut Maps) {
+        map.begin(self.depth, &self.culler.tessellation.root());
+        for &(_, number) in order {
+            let (cell, rectangle) = rectangles[number as usize];
+            let seen = rectangle.is_none_or(|rectangle| {
+                let image = self.depth.box_image(self.culler.tessellation.cell(cell), rectangle);
+                is_foreseen(map, self.depth, &image) || {
                     self.done.queries += 1;
                     test_image(self.depth, &image).0
                 }
-            };
+            });
             if seen {
-                self.draw(cell, &mut maps.map);
+                self.draw(cell, map);
             }
         }
     }
 
-    fn ask_in_batches(&mut self, order: &[(f64, CellId)], Maps { map, batches }: &mut Maps) {
+    fn ask_in_batches(&mut self, order: &[(f64, u32)], Maps { map, batches, rectangles }: &mut Maps) {
         map.begin(self.depth, &self.culler.tessellation.root());
         batches.begin();
         let mut waiting: [Vec<(CellId, BoxImage)>; Batches::COUNT] = Default::default();
-        for &(_, cell) in order {
-            match foresee(map, self.depth, self.culler.tessellation.cell(cell)) {
-                Foreseen::Known(true) => self.draw(cell, map),
-                Foreseen::Known(false) => {}
-                Foreseen::Unknown(image) => {
-                    let batch = &mut waiting[batches.place(map.scale(), image.x, image.y)];
-                    batch.push((cell, image));
+        for &(_, number) in order {
+            let (cell, rectangle) = rectangles[number as usize];
+            let image = rectangle.map(|rectangle| self.depth.box_image(self.culler.tessellation.cell(cell), rectangle));
+            match image {
+                Some(image) if !is_foreseen(map, self.depth, &image) => {
+                    waiting[batches.place(map.scale(), image.x, image.y)].push((cell, image));
                 }
+                _ => self.draw(cell, map),
             }
             if waiting[Batches::COUNT - 1].len() >= LAST_BATCH_MAX {
                 self.ask_waiting(&mut waiting, map);
@@ -155,6 +166,8 @@ const LAST_BATCH_MAX: usize = 16;
 pub(crate) struct Maps {
     pub(crate) map: OccupancyMap,
     batches: Batches,
+    /// Cells in view with their rectangles, so that these are not found twice; none of what touches the near plane.
+    rectangles: Vec<(CellId, Option<BoxRectangle>)>,
 }
 
 /// Distance from an eye to the nearest corner of a box, squared: the order of Staneker et al. 2003, §4.2.
@@ -170,8 +183,8 @@ pub(crate) fn nearest_corner_first(cells: &mut [CellId], distance: impl Fn(CellI
 /// The visible set of a culler that draws cells one after the other.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Leaves {
-    /// Distance from the eye in metres, and cell.
-    order: Vec<(f64, CellId)>,
+    /// Distance from the eye, and cell or its place in a list.
+    order: Vec<(f64, u32)>,
     /// Whether each primitive was drawn in this frame.
     drawn: Vec<bool>,
     visible: Vec<u32>,

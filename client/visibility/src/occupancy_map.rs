@@ -174,7 +174,7 @@ impl OccupancyMap {
         let part = match depth.rectangle(scene) {
             BoxPlace::Outside => [[0; 2]; 2],
             BoxPlace::Touching => size.map(|size| [0, size]),
-            BoxPlace::In([x, y]) => [x, y].map(|[first, last]| [first, last + 1]),
+            BoxPlace::In(rectangle) => [rectangle.x, rectangle.y].map(|[first, last]| [first, last + 1]),
         };
         self.scale.begin(size, part);
         self.bits = Bits::EMPTY;
@@ -253,25 +253,19 @@ impl Marks for OccupancyMap {
     }
 }
 
-/// What is known of a box before its pixels are asked about.
-#[expect(clippy::large_enum_variant, reason = "lives on the stack while a box is asked about")]
-pub(crate) enum Foreseen {
-    /// Nothing: it must be asked about.
-    Unknown(BoxImage),
-    /// Whether it is seen.
-    Known(bool),
+/// Whether a box is seen, if that is known before its pixels are asked about: by the map, or by the pixel in the middle and those
+/// of the corners (§6.1).
+pub(crate) fn foresee(map: &OccupancyMap, depth: &DepthBuffer, aabb: &Aabb) -> Option<bool> {
+    match depth.box_place(aabb) {
+        BoxPlace::Outside => Some(false),
+        BoxPlace::Touching => Some(true),
+        BoxPlace::In(image) => is_foreseen(map, depth, &image).then_some(true),
+    }
 }
 
-/// Looks at the map, and then at the pixel in the middle and those of the corners (§6.1).
-pub(crate) fn foresee(map: &OccupancyMap, depth: &DepthBuffer, aabb: &Aabb) -> Foreseen {
-    match depth.box_place(aabb) {
-        BoxPlace::Outside => Foreseen::Known(false),
-        BoxPlace::Touching => Foreseen::Known(true),
-        BoxPlace::In(image) if map.shows(&image) || few_pixels_pass(depth, &image, CORNER_ROWS) => {
-            Foreseen::Known(true)
-        }
-        BoxPlace::In(image) => Foreseen::Unknown(image),
-    }
+/// Whether the map or a few pixels tell that a box is seen.
+pub(crate) fn is_foreseen(map: &OccupancyMap, depth: &DepthBuffer, image: &BoxImage) -> bool {
+    map.shows(image) || few_pixels_pass(depth, image, CORNER_ROWS)
 }
 
 /// A query of fewer rows of pixels costs no more than eight corners; one of a pyramid does.

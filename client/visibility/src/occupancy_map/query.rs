@@ -1,6 +1,6 @@
 //! Occupancy maps in front of any query back end (Staneker et al. 2003, figure 6).
 
-use super::{Batches, Foreseen, Occupancy, OccupancyMap, foresee};
+use super::{Batches, Occupancy, OccupancyMap, foresee};
 use crate::raster_sampled::BoxPlace;
 use crate::{Aabb, DepthBuffer, PixelRect, QueryBackEnd, QueryCost, Scene, View};
 
@@ -86,10 +86,7 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
     }
 
     fn foresee(&mut self, cell: &Aabb) -> Option<bool> {
-        match foresee(&self.map, self.inner.depth(), cell) {
-            Foreseen::Known(seen) => Some(seen),
-            Foreseen::Unknown(_) => None,
-        }
+        foresee(&self.map, self.inner.depth(), cell)
     }
 
     fn arrange(&mut self, cells: &[Aabb], batch_of: &mut Vec<u32>) {
@@ -100,8 +97,8 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
         batch_of.clear();
         let depth = self.inner.depth();
         batch_of.extend(cells.iter().map(|cell| match depth.rectangle(cell) {
-            BoxPlace::In([x, y]) => {
-                let [x, y] = [x, y].map(|range| range.map(|at| at as i32));
+            BoxPlace::In(rectangle) => {
+                let [x, y] = [rectangle.x, rectangle.y].map(|range| range.map(|at| at as i32));
                 batches.place(self.map.scale(), x, y) as u32
             }
             BoxPlace::Outside | BoxPlace::Touching => 0,

@@ -343,13 +343,18 @@ impl DepthBuffer {
         [self.projector.width, self.projector.height].map(|size| size as usize)
     }
 
-    /// The rectangle that holds every pixel that may show any of a box: columns and rows, first and last.
-    pub(crate) fn rectangle(&self, aabb: &Aabb) -> BoxPlace<[[usize; 2]; 2]> {
+    /// The rectangle that holds every pixel that may show any of a box.
+    pub(crate) fn rectangle(&self, aabb: &Aabb) -> BoxPlace<BoxRectangle> {
         match self.place(aabb) {
             Place::Outside => BoxPlace::Outside,
             Place::Touching => BoxPlace::Touching,
-            Place::In { x, y, .. } => BoxPlace::In([x, y]),
+            Place::In { x, y, z } => BoxPlace::In(BoxRectangle { x, y, z }),
         }
+    }
+
+    /// The image of a box whose rectangle is known.
+    pub(crate) fn box_image(&self, aabb: &Aabb, BoxRectangle { x, y, z }: BoxRectangle) -> BoxImage {
+        BoxImage::new(&self.projector, aabb, x, y, z)
     }
 
     /// What an image with everything rounded outward shows of a box.
@@ -370,6 +375,14 @@ fn centres(range: [f64; 2], spread: f64, size: i32) -> [i32; 2] {
     let high = (range[1] + spread - 0.5).clamp(-1.0, size - 1.0);
     let [from, to] = [low as i32, high as i32];
     [from + i32::from(f64::from(from) < low), to - i32::from(f64::from(to) > high)]
+}
+
+/// Columns and rows of pixels, first and last, that may show a box, which is no nearer than a reversed depth.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct BoxRectangle {
+    pub(crate) x: [usize; 2],
+    pub(crate) y: [usize; 2],
+    z: f32,
 }
 
 /// Where a box is.
