@@ -52,6 +52,9 @@ pub struct Traversal {
     pub passes: usize,
     /// Cells asked about; of [`crate::MaskedCplp`] faces between cells.
     pub queries: usize,
+    /// Depths compared, pixels or tiles, by queries about boxes that turned out to be seen: what an occupancy map spares. 0 for
+    /// cullers that do not count them.
+    pub seen_z_tests: u64,
     /// Sealed faces that were believed, so that they did not lead on.
     pub sealed: usize,
     /// Sealed faces that were not: at this resolution, from this eye, they count as open.

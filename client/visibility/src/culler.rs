@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::raster_sampled::Coverage;
+use crate::raster_sampled::{Coverage, MappedTarget};
 use crate::{Aabb, Budget, Cplp, EyeRegion, ItemBuffer, MaskedCplp, OctreeRules, Scene, Scratch, Traversal, View};
 
 /// A static culler. Shared by workers, each of which brings its scratch.
@@ -93,19 +93,25 @@ pub struct CplpCuller {
     scene: Arc<Scene>,
     cplp: Arc<Cplp>,
     budget: Budget,
+    mapped: bool,
 }
 
 impl CplpCuller {
     /// Culls with cells that were made for this scene.
     pub fn new(scene: Arc<Scene>, cplp: Arc<Cplp>, budget: Budget) -> CplpCuller {
         assert_eq!(scene.triangles().len(), cplp.tessellation().primitive_total(), "the cells are another scene's");
-        CplpCuller { scene, cplp, budget }
+        CplpCuller { scene, cplp, budget, mapped: false }
     }
 
     /// Makes octree cells by default rules.
     pub fn build(scene: Arc<Scene>) -> CplpCuller {
         let cplp = Arc::new(Cplp::build(&scene, OctreeRules::default()));
         CplpCuller::new(scene, cplp, Budget::default())
+    }
+
+    /// Whether an occupancy map is asked before the depth buffer. Cells are asked one by one: there are no batches.
+    pub fn with_occupancy_map(self, mapped: bool) -> CplpCuller {
+        CplpCuller { mapped, ..self }
     }
 
     /// The traversal and its cells.
@@ -119,8 +125,15 @@ impl Culler for CplpCuller {
         if !scratch.begin(view, region) {
             return everything(&self.scene);
         }
-        let mut target = scratch.depth.target(&self.scene);
-        let traversal = self.cplp.traverse(&self.scene, region, self.budget, &mut target, &mut scratch.cplp);
+        let Scratch { depth, maps, cplp, .. } = scratch;
+        let mut traversal = if self.mapped {
+            maps.map.begin(depth, &self.cplp.tessellation().root());
+            let mut target = MappedTarget { target: depth.target(&self.scene), map: &mut maps.map };
+            self.cplp.traverse(&self.scene, region, self.budget, &mut target, cplp)
+        } else {
+            self.cplp.traverse(&self.scene, region, self.budget, &mut depth.target(&self.scene), cplp)
+        };
+        traversal.seen_z_tests = depth.seen_z_tests();
         Culled { visible: scratch.cplp.visible().to_vec(), traversal, z_tests: scratch.depth.z_tests() }
     }
 }

@@ -8,6 +8,8 @@
 //! The cells are checked after the library has made them: each site is used, each cell is the right way round, they fill
 //! their hull once, and the hull holds the root box. What fails is an error, and a traversal can take the octree.
 
+mod file;
+
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 use simple_delaunay_lib::delaunay_3d::delaunay_struct_3d::DelaunayStructure3D;
@@ -368,14 +370,14 @@ fn triangulate(root: Aabb, sites: Vec<DVec3>) -> Result<Delaunay, DelaunayError>
 
 /// A convex polygon that is being cut.
 #[derive(Default)]
-struct Polygon {
-    points: Vec<DVec3>,
+pub(crate) struct Polygon {
+    pub(crate) points: Vec<DVec3>,
     spare: Vec<DVec3>,
 }
 
 impl Polygon {
     /// Cuts off what is higher along a normal; whether anything is left.
-    fn keep_below(&mut self, normal: DVec3, height: f64) -> bool {
+    pub(crate) fn keep_below(&mut self, normal: DVec3, height: f64) -> bool {
         let above = |point: DVec3| normal.dot(point) - height;
         if self.points.iter().all(|&point| above(point) <= 0.0) {
             return true;

@@ -14,10 +14,11 @@ use std::cell::Cell;
 use std::sync::Arc;
 
 use crate::culler::everything;
+use crate::occupancy_map::{PYRAMID_CORNER_ROWS, few_pixels_pass};
 use crate::raster_sampled::{BoxImage, BoxPlace, TILE};
 use crate::{
-    Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, Octree, OctreeRules, Plp, Scene, Scratch,
-    Tessellation, Traversal, Triangle, View,
+    Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, OccupancyMap, Octree, OctreeRules, Plp, Scene,
+    Scratch, Tessellation, Traversal, Triangle, View,
 };
 
 /// An octree against a Z-pyramid. An eye region that is not the view's eye gets everything.
@@ -27,13 +28,14 @@ pub struct HierarchicalZ {
     octree: Arc<Octree>,
     /// Who chooses occluders, and how many triangles.
     plp: Option<(Arc<Plp>, usize)>,
+    mapped: bool,
 }
 
 impl HierarchicalZ {
     /// Culls with cells that were made for this scene.
     pub fn new(scene: Arc<Scene>, octree: Arc<Octree>) -> HierarchicalZ {
         assert_eq!(scene.triangles().len(), octree.primitive_total(), "the octree is another scene's");
-        HierarchicalZ { scene, octree, plp: None }
+        HierarchicalZ { scene, octree, plp: None, mapped: false }
     }
 
     /// Makes the octree by default rules.
@@ -50,13 +52,21 @@ impl HierarchicalZ {
         assert_eq!(self.scene.triangles().len(), plp.scene().triangles().len(), "PLP is over another scene");
         HierarchicalZ { plp: Some((plp, budget)), ..self }
     }
+
+    /// Whether an occupancy map is asked before the pyramid. Nodes are asked one by one: there are no batches.
+    pub fn with_occupancy_map(self, mapped: bool) -> HierarchicalZ {
+        HierarchicalZ { mapped, ..self }
+    }
 }
 
 impl Culler for HierarchicalZ {
     fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
         let chosen = |(plp, budget): &(Arc<Plp>, usize)| plp.occluders(view, *budget, &mut scratch.plp);
         let first = self.plp.as_ref().map_or_else(Vec::new, chosen);
-        let Some((image, leaves)) = scratch.begin_pyramid(view, region) else { return everything(&self.scene) };
+        let root = self.mapped.then(|| self.octree.root());
+        let Some((image, leaves)) = scratch.begin_pyramid(view, region, root.as_ref()) else {
+            return everything(&self.scene);
+        };
         leaves.begin(&*self.octree);
         leaves.add(&first);
         image.draw(first.iter().map(|&id| &self.scene.triangles()[id as usize]));
@@ -71,6 +81,7 @@ impl Culler for HierarchicalZ {
             }
             seen
         });
+        traversal.seen_z_tests = image.depth.seen_z_tests();
         leaves.finish(traversal, image.depth.z_tests())
     }
 }
@@ -83,30 +94,50 @@ impl Culler for HierarchicalZ {
 pub(crate) struct PyramidImage {
     depth: DepthBuffer,
     pyramid: ZPyramid,
+    /// Of where was drawn, unless nobody wants one.
+    map: Option<OccupancyMap>,
 }
 
 impl PyramidImage {
     /// An empty image of a view.
     pub(crate) fn new(view: &View) -> PyramidImage {
-        let mut image = PyramidImage { depth: DepthBuffer::new(view), pyramid: ZPyramid::default() };
+        let mut image = PyramidImage { depth: DepthBuffer::new(view), pyramid: ZPyramid::default(), map: None };
         image.pyramid.begin(&image.depth);
         image
     }
 
     /// Forgets everything and starts an image of another view.
-    pub(crate) fn begin(&mut self, view: &View) {
+    pub(crate) fn begin(&mut self, view: &View, scene: Option<&Aabb>) {
         self.depth.begin(view);
         self.pyramid.begin(&self.depth);
+        self.map = scene.map(|scene| {
+            let mut map = self.map.take().unwrap_or_default();
+            map.begin(&self.depth, scene);
+            map
+        });
     }
 
     /// Draws those of the triangles that occlude.
     pub(crate) fn draw<'a>(&mut self, triangles: impl IntoIterator<Item = &'a Triangle>) {
-        self.depth.draw_triangles(triangles);
+        match &mut self.map {
+            Some(map) => self.depth.draw_triangles_marking(triangles, map),
+            None => self.depth.draw_triangles(triangles),
+        }
         self.pyramid.mark_drawn(&mut self.depth);
     }
 
     fn sees(&self, aabb: &Aabb) -> bool {
-        self.pyramid.sees(&self.depth, aabb)
+        match self.depth.box_place(aabb) {
+            BoxPlace::Outside => false,
+            BoxPlace::Touching => true,
+            BoxPlace::In(image) => {
+                let foreseen = self
+                    .map
+                    .as_ref()
+                    .is_some_and(|map| map.shows(&image) || few_pixels_pass(&self.depth, &image, PYRAMID_CORNER_ROWS));
+                foreseen || self.pyramid.sees_image(&self.depth, &image)
+            }
+        }
     }
 }
 
@@ -169,12 +200,21 @@ impl ZPyramid {
         }
     }
 
-    /// Whether any point of the box may be seen past what was drawn. Rounds outward.
+    /// Whether any of a box may be seen past what was drawn. Rounds outward.
+    fn sees_image(&self, depth: &DepthBuffer, image: &BoxImage) -> bool {
+        let before = depth.z_tests();
+        let seen = self.sees_below(depth, image, self.levels.len(), 0, 0);
+        depth.count_seen(before, seen);
+        seen
+    }
+
+    /// The same for the box itself.
+    #[cfg(test)]
     pub(crate) fn sees(&self, depth: &DepthBuffer, aabb: &Aabb) -> bool {
         match depth.box_place(aabb) {
             BoxPlace::Outside => false,
             BoxPlace::Touching => true,
-            BoxPlace::In(image) => self.sees_below(depth, &image, self.levels.len(), 0, 0),
+            BoxPlace::In(image) => self.sees_image(depth, &image),
         }
     }
 

@@ -9,6 +9,8 @@
 //! A plane is one f64 that is stored once, so neighbours agree on faces bit for bit, and one that came from a wall is that
 //! wall's own coordinate: [`crate::sealed`] compares them exactly.
 
+mod file;
+
 use glam::DVec3;
 
 use crate::sealed::{self, Wall};

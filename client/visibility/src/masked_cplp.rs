@@ -81,8 +81,13 @@ impl MaskedCplp {
         MaskedCplp::new(scene, tessellation)
     }
 
-    /// Walks these cells, which must be of this scene.
+    /// Walks these cells, which must be of this scene. Faces are asked about as rectangles: cells that are not boxes are left
+    /// for a kD-tree's.
     pub fn new(scene: Arc<Scene>, tessellation: Arc<dyn Tessellation>) -> MaskedCplp {
+        let tessellation: Arc<dyn Tessellation> = match tessellation.cells().are_boxes() {
+            true => tessellation,
+            false => Arc::new(KdTree::build(&scene, KdRules::default())),
+        };
         assert_eq!(scene.triangles().len(), tessellation.primitive_total(), "the tessellation is another scene's");
         let facets = Facets::build(&scene);
         let (mut facet_starts, mut cell_facets) = (vec![0], Vec::new());

@@ -5,6 +5,8 @@
 //! as the longest, so that the cells of a flat building are nearly cubes too. Cell corners lie on one integer lattice, so
 //! that neighbours agree on their shared faces to the last bit.
 
+mod file;
+
 use glam::DVec3;
 
 use crate::tessellation::{root_box, rounding_slack, touches};

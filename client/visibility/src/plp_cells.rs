@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use crate::{CellId, Delaunay, Face, Tessellation};
+use crate::{CellId, Delaunay, Face, Prisms, Tessellation};
 
 /// Convex cells that PLP can walk. Cheap to clone.
 #[derive(Clone, Debug)]
@@ -14,6 +14,8 @@ pub enum PlpCells {
     Boxes(Arc<dyn Tessellation>),
     /// Tetrahedra.
     Tetrahedra(Arc<Delaunay>),
+    /// The floor plan between floors and ceilings.
+    Prisms(Arc<Prisms>),
 }
 
 /// A face between two cells.
@@ -67,6 +69,7 @@ impl PlpCells {
         match self {
             PlpCells::Boxes(cells) => cells.cell_count(),
             PlpCells::Tetrahedra(cells) => cells.len(),
+            PlpCells::Prisms(cells) => cells.cell_count(),
         }
     }
 
@@ -80,6 +83,7 @@ impl PlpCells {
         match self {
             PlpCells::Boxes(cells) => cells.cells().primitives(cell),
             PlpCells::Tetrahedra(cells) => cells.primitives(cell),
+            PlpCells::Prisms(cells) => cells.cells().primitives(cell),
         }
     }
 
@@ -88,6 +92,7 @@ impl PlpCells {
         match self {
             PlpCells::Boxes(cells) => cells.primitive_total(),
             PlpCells::Tetrahedra(cells) => cells.primitive_total(),
+            PlpCells::Prisms(cells) => cells.primitive_total(),
         }
     }
 
@@ -96,6 +101,7 @@ impl PlpCells {
         match self {
             PlpCells::Boxes(cells) => cells.cells().reference_count(),
             PlpCells::Tetrahedra(cells) => cells.reference_count(),
+            PlpCells::Prisms(cells) => cells.cells().reference_count(),
         }
     }
 
@@ -107,6 +113,11 @@ impl PlpCells {
                 corners[..4].copy_from_slice(&cells.corners(cell));
                 CellCorners { corners, count: 4 }
             }
+            PlpCells::Prisms(cells) => {
+                let mut corners = [DVec3::ZERO; 8];
+                corners[..6].copy_from_slice(&cells.corners(cell));
+                CellCorners { corners, count: 6 }
+            }
         }
     }
 
@@ -115,6 +126,7 @@ impl PlpCells {
         match self {
             PlpCells::Boxes(cells) => cells.cell(cell).centre(),
             PlpCells::Tetrahedra(cells) => cells.corners(cell).into_iter().sum::<DVec3>() * 0.25,
+            PlpCells::Prisms(cells) => cells.corners(cell).into_iter().sum::<DVec3>() / 6.0,
         }
     }
 
@@ -147,6 +159,11 @@ impl PlpCells {
                     found(&Portal { cell, normal, corners: [a, b, c, c], count: 3 });
                 }
             }
+            PlpCells::Prisms(cells) => {
+                for (cell, normal, corners, count) in cells.faces(cell) {
+                    found(&Portal { cell, normal, corners, count });
+                }
+            }
         }
     }
 
@@ -155,6 +172,7 @@ impl PlpCells {
         match self {
             PlpCells::Boxes(cells) => cells.cell_at(point),
             PlpCells::Tetrahedra(cells) => cells.cell_at(point),
+            PlpCells::Prisms(cells) => cells.cell_at(point),
         }
     }
 
@@ -166,6 +184,7 @@ impl PlpCells {
                 faces.flat_map(|face| cells.hull(face).iter().copied()).collect()
             }
             PlpCells::Tetrahedra(cells) => cells.hull_facing(eye).collect(),
+            PlpCells::Prisms(cells) => cells.hull_facing(eye).collect(),
         };
         facing.sort_unstable();
         facing.dedup();

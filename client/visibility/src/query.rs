@@ -23,10 +23,10 @@ pub use culler::CplpQueryCuller;
 pub use histogram::HistogramQuery;
 pub use item_buffer::{ItemBufferQuery, TILE_SIDE};
 pub use one_at_a_time::OneAtATimeQuery;
-pub(crate) use one_at_a_time::test;
+pub(crate) use one_at_a_time::{test, test_image};
 pub use per_fragment::PerFragmentHistogram;
 
-use crate::{Aabb, DepthBuffer, PixelRect, Scene, View};
+use crate::{Aabb, DepthBuffer, Occupancy, OccupancyQuery, PixelRect, Scene, View};
 
 /// An image of one view, sampled at pixel centres, that holds what was drawn and answers which boxes can be seen past it.
 ///
@@ -34,6 +34,12 @@ use crate::{Aabb, DepthBuffer, PixelRect, Scene, View};
 pub trait QueryBackEnd {
     /// Forgets everything and starts an image of another view.
     fn begin(&mut self, view: &View);
+
+    /// The same, where all that will be drawn lies in the box `scene`.
+    fn begin_scene(&mut self, view: &View, scene: &Aabb) {
+        let _ = scene;
+        self.begin(view);
+    }
 
     /// Draws those of the primitives that occlude.
     fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
@@ -56,6 +62,31 @@ pub trait QueryBackEnd {
         self.query(cells, seen)
     }
 
+    /// Whether [`QueryBackEnd::foresee`] can tell anything, so that it is worth asking about the cells of a front one by one,
+    /// nearest corner first, before any query.
+    fn foresees(&self) -> bool {
+        false
+    }
+
+    /// Whether a box may be seen past what was drawn, if that is known without a query.
+    fn foresee(&mut self, cell: &Aabb) -> Option<bool> {
+        let _ = cell;
+        None
+    }
+
+    /// Says in which batch to ask about each of the boxes of a front of which nothing was foreseen. What one batch shows is
+    /// drawn before the next is asked.
+    fn arrange(&mut self, cells: &[Aabb], batch_of: &mut Vec<u32>) {
+        let size = self.batch().max(1);
+        batch_of.clear();
+        batch_of.extend((0..cells.len()).map(|at| (at / size) as u32));
+    }
+
+    /// [`QueryBackEnd::query`] for boxes of which nothing was foreseen; [`QueryBackEnd::query_front`] if that is the whole front.
+    fn query_left(&mut self, cells: &[Aabb], whole_front: bool, seen: &mut Vec<bool>) -> QueryCost {
+        if whole_front { self.query_front(cells, seen) } else { self.query(cells, seen) }
+    }
+
     /// The most boxes whose answers come together. With fewer than a front holds, what is found in one batch can be drawn
     /// before the next is asked.
     fn batch(&self) -> usize {
@@ -73,6 +104,11 @@ pub trait QueryBackEnd {
     /// Comparisons of depths since [`QueryBackEnd::begin`], drawing and queries.
     fn z_tests(&self) -> u64 {
         self.depth().z_tests()
+    }
+
+    /// The part of these that queries took of boxes that turned out to be seen.
+    fn seen_z_tests(&self) -> u64 {
+        self.depth().seen_z_tests()
     }
 
     /// The depths drawn so far: what hides moving things.
@@ -171,15 +207,26 @@ pub enum CpuQuery {
     OneAtATime(OneAtATimeQuery),
     /// See [`PerFragmentHistogram`].
     PerFragmentHistogram(PerFragmentHistogram),
+    /// One of these behind occupancy maps.
+    Occupancy(Box<OccupancyQuery<CpuQuery>>),
 }
 
 impl CpuQuery {
+    /// The back end behind occupancy maps, or as it is.
+    pub fn with_occupancy(self, occupancy: Occupancy) -> CpuQuery {
+        match occupancy {
+            Occupancy::Off => self,
+            _ => CpuQuery::Occupancy(Box::new(OccupancyQuery::new(self, occupancy))),
+        }
+    }
+
     fn chosen(&self) -> &dyn QueryBackEnd {
         match self {
             CpuQuery::ItemBuffer(query) => query,
             CpuQuery::Histogram(query) => query,
             CpuQuery::OneAtATime(query) => query,
             CpuQuery::PerFragmentHistogram(query) => query,
+            CpuQuery::Occupancy(query) => &**query,
         }
     }
 
@@ -189,6 +236,7 @@ impl CpuQuery {
             CpuQuery::Histogram(query) => query,
             CpuQuery::OneAtATime(query) => query,
             CpuQuery::PerFragmentHistogram(query) => query,
+            CpuQuery::Occupancy(query) => &mut **query,
         }
     }
 }
@@ -198,12 +246,36 @@ impl QueryBackEnd for CpuQuery {
         self.chosen_mut().begin(view);
     }
 
+    fn begin_scene(&mut self, view: &View, scene: &Aabb) {
+        self.chosen_mut().begin_scene(view, scene);
+    }
+
+    fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
+        self.chosen_mut().draw(scene, primitives);
+    }
+
     fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
         self.chosen_mut().query(cells, seen)
     }
 
     fn query_front(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
         self.chosen_mut().query_front(cells, seen)
+    }
+
+    fn foresees(&self) -> bool {
+        self.chosen().foresees()
+    }
+
+    fn foresee(&mut self, cell: &Aabb) -> Option<bool> {
+        self.chosen_mut().foresee(cell)
+    }
+
+    fn arrange(&mut self, cells: &[Aabb], batch_of: &mut Vec<u32>) {
+        self.chosen_mut().arrange(cells, batch_of);
+    }
+
+    fn query_left(&mut self, cells: &[Aabb], whole_front: bool, seen: &mut Vec<bool>) -> QueryCost {
+        self.chosen_mut().query_left(cells, whole_front, seen)
     }
 
     fn batch(&self) -> usize {

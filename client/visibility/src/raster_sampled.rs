@@ -13,7 +13,7 @@ pub(crate) mod setup;
 use glam::DVec3;
 
 pub(crate) use boxes::{BoxImage, BoxPlace};
-pub(crate) use depth::TILE;
+pub(crate) use depth::{BoxRectangle, MappedTarget, Marks, TILE};
 pub use depth::{DepthBuffer, SampledTarget};
 use setup::Projector;
 

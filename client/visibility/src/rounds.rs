@@ -6,6 +6,7 @@
 //!
 //! What [`Cplp::traverse`] says about completeness holds here: asking a whole front at once shows more, never less.
 
+use crate::front_to_back::{nearest_corner, nearest_corner_first};
 use crate::{
     Aabb, Budget, CellId, Cplp, CplpScratch, EyeRegion, QueryBackEnd, QueryCost, Resolution, Scene, Target, Traversal,
     View,
@@ -107,26 +108,49 @@ impl Cplp {
         scratch: &mut CplpScratch,
         mut watch: impl FnMut(Round<'_>, &B),
     ) -> RoundsTraversal {
-        back_end.begin(view);
+        back_end.begin_scene(view, &self.tessellation().root());
         let mut rounds = RoundsTraversal::default();
         let mut target = Drawn { scene, back_end: &mut *back_end };
-        let batch = target.back_end.batch().max(1);
+        let foresees = target.back_end.foresees();
         rounds.traversal = self.run(scene, EyeRegion::point(view.eye), budget, &mut target, scratch, |run| {
             rounds.plp_cells = run.done.cells_projected;
-            let (mut front, mut boxes, mut seen) = (Vec::new(), Vec::new(), Vec::new());
+            let (mut front, mut batch, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
+            let (mut batch_of, mut seen) = (Vec::new(), Vec::new());
             while !run.target.is_full() {
                 run.take_front(&mut front);
                 if front.is_empty() {
                     break;
                 }
                 run.done.rounds += 1;
-                for cells in front.chunks(batch) {
+                let front_len = front.len();
+                if foresees {
+                    // What is certainly seen is drawn at once, so that it hides what has to be asked about.
+                    nearest_corner_first(&mut front, |cell| nearest_corner(run.aabb(cell), view.eye));
+                    front.retain(|&cell| {
+                        match run.target.back_end.foresee(&run.aabb(cell).clone()) {
+                            Some(true) => run.project(cell),
+                            Some(false) => run.hide(cell),
+                            None => return true,
+                        }
+                        false
+                    });
+                }
+                boxes.clear();
+                boxes.extend(front.iter().map(|&cell| *run.aabb(cell)));
+                run.target.back_end.arrange(&boxes, &mut batch_of);
+                batch.clear();
+                batch.extend(batch_of.iter().copied().zip(front.iter().copied()));
+                batch.sort_by_key(|&(number, _)| number);
+                for together in batch.chunk_by(|a, b| a.0 == b.0) {
                     boxes.clear();
-                    boxes.extend(cells.iter().map(|&cell| *run.aabb(cell)));
-                    run.done.queries += cells.len();
-                    rounds.queries += run.target.back_end.query_front(&boxes, &mut seen);
-                    watch(Round { number: run.done.rounds, cells, seen: &seen }, run.target.back_end);
-                    for (&cell, &seen) in cells.iter().zip(&seen) {
+                    boxes.extend(together.iter().map(|&(_, cell)| *run.aabb(cell)));
+                    front.clear();
+                    front.extend(together.iter().map(|&(_, cell)| cell));
+                    run.done.queries += front.len();
+                    let whole_front = front.len() == front_len;
+                    rounds.queries += run.target.back_end.query_left(&boxes, whole_front, &mut seen);
+                    watch(Round { number: run.done.rounds, cells: &front, seen: &seen }, run.target.back_end);
+                    for (&cell, &seen) in front.iter().zip(&seen) {
                         if seen {
                             run.project(cell);
                         } else {
@@ -137,6 +161,7 @@ impl Cplp {
             }
         });
         rounds.traversal.passes = rounds.queries.passes;
+        rounds.traversal.seen_z_tests = back_end.seen_z_tests();
         rounds.z_tests = back_end.z_tests();
         rounds
     }

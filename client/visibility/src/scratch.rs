@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use crate::front_to_back::Leaves;
+use crate::front_to_back::{Leaves, Maps};
 use crate::hierarchical_z::PyramidImage;
 use crate::{
-    Bound, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, LargeOccluderScratch, MaskedCplpScratch, Occluders,
-    Occlusion, PlpScratch, QueryBackEnd, QueryKind, Resolution, Triangle, UnderOcclusion, View,
+    Aabb, Bound, CplpScratch, CpuQuery, DepthBuffer, EyeRegion, LargeOccluderScratch, MaskedCplpScratch, Occluders,
+    Occlusion, Occupancy, PlpScratch, QueryBackEnd, QueryKind, Resolution, Triangle, UnderOcclusion, View,
 };
 
 /// What one worker needs to cull. What a culler does not use stays empty.
@@ -15,12 +15,13 @@ pub struct Scratch {
     pub(crate) cplp: CplpScratch,
     pub(crate) depth: DepthBuffer,
     pub(crate) leaves: Leaves,
+    pub(crate) maps: Maps,
     pub(crate) plp: PlpScratch,
     pyramid: PyramidImage,
     masked: MaskedCplpScratch,
     large: LargeOccluderScratch,
     under: Option<UnderOcclusion>,
-    query: Option<(QueryKind, CpuQuery)>,
+    query: Option<((QueryKind, Occupancy), CpuQuery)>,
     speaker: Speaker,
 }
 
@@ -43,6 +44,7 @@ impl Default for Scratch {
             cplp: CplpScratch::default(),
             depth: DepthBuffer::new(&nowhere),
             leaves: Leaves::default(),
+            maps: Maps::default(),
             plp: PlpScratch::default(),
             pyramid: PyramidImage::new(&nowhere),
             masked: MaskedCplpScratch::default(),
@@ -139,11 +141,16 @@ impl Scratch {
         speaks
     }
 
-    /// Likewise for a walk against a Z-pyramid.
-    pub(crate) fn begin_pyramid(&mut self, view: &View, region: EyeRegion) -> Option<(&mut PyramidImage, &mut Leaves)> {
+    /// Likewise for a walk against a Z-pyramid, with an occupancy map if the box of the scene is given.
+    pub(crate) fn begin_pyramid(
+        &mut self,
+        view: &View,
+        region: EyeRegion,
+        scene: Option<&Aabb>,
+    ) -> Option<(&mut PyramidImage, &mut Leaves)> {
         let speaks = self.speak(Speaker::Pyramid, view, region);
         if speaks {
-            self.pyramid.begin(view);
+            self.pyramid.begin(view, scene);
         }
         speaks.then_some((&mut self.pyramid, &mut self.leaves))
     }
@@ -166,13 +173,14 @@ impl Scratch {
         view: &View,
         region: EyeRegion,
         kind: QueryKind,
+        occupancy: Occupancy,
     ) -> Option<(&mut CpuQuery, &mut CplpScratch)> {
         if !self.speak(Speaker::Query, view, region) {
             return None;
         }
         let (_, query) = match self.query.take() {
-            Some(kept) if kept.0 == kind => self.query.insert(kept),
-            _ => self.query.insert((kind, kind.back_end())),
+            Some(kept) if kept.0 == (kind, occupancy) => self.query.insert(kept),
+            _ => self.query.insert(((kind, occupancy), kind.back_end().with_occupancy(occupancy))),
         };
         Some((query, &mut self.cplp))
     }

@@ -160,6 +160,11 @@ pub(crate) fn seal(scene: &Scene, walls: &[Option<Wall>], cells: &mut Cells) -> 
         for nth in 0..cells.neighbours(cell).len() {
             let neighbour = cells.neighbours(cell)[nth];
             let shared = cells.shared(cell, &neighbour);
+            // An oblique face of a cell that is no box lies in no wall across an axis.
+            let axis = neighbour.face.axis();
+            if shared.min[axis] != shared.max[axis] {
+                continue;
+            }
             if let Some(cracks) = covered(&near, &shared, neighbour.face) {
                 cells.set_seal(cell, nth, &cracks);
                 count += 1;

@@ -4,6 +4,8 @@
 //! How the boxes are found is the affair of [`crate::Octree`] and [`crate::KdTree`]; both leave a [`Cells`] behind, which
 //! is all that a traversal reads beside "which cells are here". Neighbours agree on their shared faces to the last bit.
 
+mod file;
+
 use std::fmt::Debug;
 
 use glam::DVec3;
@@ -79,6 +81,8 @@ pub struct Cells {
     primitives: Vec<u32>,
     neighbour_starts: Vec<u32>,
     neighbours: Vec<Neighbour>,
+    /// Where cells are not boxes: around what a cell shares with each of its neighbours.
+    shared: Option<Vec<Aabb>>,
     crack_starts: Vec<u32>,
     cracks: Vec<[DVec3; 2]>,
     hull_starts: [u32; 7],
@@ -98,6 +102,7 @@ impl Cells {
             primitives: Vec::new(),
             neighbour_starts: vec![0],
             neighbours: Vec::new(),
+            shared: None,
             crack_starts: vec![0],
             cracks: Vec::new(),
             hull_starts: [0; 7],
@@ -120,6 +125,34 @@ impl Cells {
     pub(crate) fn push_neighbours(&mut self, neighbours: impl IntoIterator<Item = Neighbour>) {
         self.neighbours.extend(neighbours);
         self.neighbour_starts.push(self.neighbours.len() as u32);
+    }
+
+    /// The same for cells that are not boxes, with a box around what is shared with each.
+    pub(crate) fn push_neighbours_sharing(&mut self, neighbours: impl IntoIterator<Item = (Neighbour, Aabb)>) {
+        let boxes = self.shared.get_or_insert_default();
+        for (neighbour, shared) in neighbours {
+            self.neighbours.push(neighbour);
+            boxes.push(shared);
+        }
+        self.neighbour_starts.push(self.neighbours.len() as u32);
+    }
+
+    /// Whether the cells are boxes. Else [`Cells::aabb`] is the box around one, and [`Cells::shared`] that around a face.
+    pub fn are_boxes(&self) -> bool {
+        self.shared.is_none()
+    }
+
+    /// Bytes that the cells and their lists take.
+    pub fn memory_bytes(&self) -> usize {
+        size_of_val(&*self.boxes)
+            + size_of_val(&*self.primitive_starts)
+            + size_of_val(&*self.primitives)
+            + size_of_val(&*self.neighbour_starts)
+            + size_of_val(&*self.neighbours)
+            + self.shared.as_ref().map_or(0, |shared| size_of_val(&**shared))
+            + size_of_val(&*self.crack_starts)
+            + size_of_val(&*self.cracks)
+            + size_of_val(&*self.hull)
     }
 
     /// Finds the cells of each hull face, once all cells are there.
@@ -195,8 +228,13 @@ impl Cells {
         &self.neighbours[self.neighbour_starts[cell] as usize..self.neighbour_starts[cell + 1] as usize]
     }
 
-    /// The rectangle that a cell shares with a neighbour: a box without thickness along the face's axis.
+    /// The rectangle that a cell shares with a neighbour: a box without thickness along the face's axis. Where cells are not
+    /// boxes ([`Cells::are_boxes`]) it is the box around the face, which has some thickness if the face is oblique.
     pub fn shared(&self, cell: CellId, neighbour: &Neighbour) -> Aabb {
+        if let Some(shared) = &self.shared {
+            let nth = self.neighbours(cell).iter().position(|other| other.cell == neighbour.cell).unwrap_or(0);
+            return shared[self.neighbour_starts[cell as usize] as usize + nth];
+        }
         let (here, there) = (self.aabb(cell), self.aabb(neighbour.cell));
         Aabb::new(here.min.max(there.min), here.max.min(there.max))
     }

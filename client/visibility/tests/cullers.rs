@@ -40,6 +40,7 @@ fn soups_are_culled_without_error() {
 fn buildings_are_culled_without_error() {
     let mut rng = Pcg64::seed_from_u64(12);
     let scene = Arc::new(made::building(5, 8, 1));
+    assert_eq!(every::in_prisms(&scene).len(), 6);
     check(&scene, (0..200).map(|_| made::visitor(&mut rng, 5, Resolution::new(64, 64))));
     check(&scene, (0..15).map(|_| made::visitor(&mut rng, 5, Resolution::new(320, 240))));
 }

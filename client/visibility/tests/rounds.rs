@@ -39,7 +39,14 @@ fn a_larger_budget_needs_fewer_rounds_and_a_per_fragment_histogram_one_pass_in_e
             assert!(single.queries.passes <= single.traversal.rounds);
             assert!(single.queries.passes <= items.queries.passes);
             // The same questions and answers, in other passes; tiles only stop earlier.
-            assert_eq!(single.traversal, Traversal { passes: single.traversal.passes, ..items.traversal });
+            assert_eq!(
+                single.traversal,
+                Traversal {
+                    passes: single.traversal.passes,
+                    seen_z_tests: single.traversal.seen_z_tests,
+                    ..items.traversal
+                }
+            );
             assert_eq!([single, items].map(|run| run.traversal.passes), [single, items].map(|run| run.queries.passes));
             assert_eq!(items.traversal.triangles_drawn, tiles.traversal.triangles_drawn);
             assert!(tiles.traversal.rounds <= items.traversal.rounds);

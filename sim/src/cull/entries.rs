@@ -4,13 +4,15 @@ use std::sync::Arc;
 
 use eyeline_visibility::{
     Budget, CplpCuller, CplpQueryCuller, FrustumBackface, HierarchicalZ, LargeOccluder, LargeOccluderRules, MaskedCplp,
-    Plp, PlpCells, PlpRules, QueryFrontToBack, QueryKind, RegionCuller, ZBuffer,
+    Occupancy, Plp, PlpCells, PlpRules, QueryFrontToBack, QueryKind, RegionCuller, ZBuffer,
 };
 
+use super::candidate::Candidate;
 use super::candidate::{WithFront, WithScratch};
 use super::plp::{Centroids, PlpCandidate};
+use super::registry::Setting;
 use super::registry::{Budgets, Entry};
-use super::shop::{DELAUNAY, FINE_OCTREE, KD_TREE, OCTREE};
+use super::shop::{DELAUNAY, FINE_OCTREE, KD_TREE, OCTREE, PRISMS, Shop};
 
 /// Pixels of the image that `region` draws, whatever the picture's resolution.
 const REGION_PIXELS: u32 = 256 * 128;
@@ -21,6 +23,11 @@ const OCCLUDER_BUDGET: &str = "4000";
 /// Budgets where none is asked for: [`Budget::default`] for cPLP, the paper's largest for PLP alone.
 const CPLP_BUDGET: &str = "100";
 const PLP_BUDGET: &str = "10%";
+
+/// Query back ends of cPLP; those that answer several cells at once can be asked in batches.
+const CPLP_QUERIES: &[&str] =
+    &["sampled", "item-buffer", "item-buffer-tiled", "histogram", "one-at-a-time", "per-fragment-histogram"];
+const CPLP_QUERIES_BATCHED: [&str; 4] = ["per-fragment-histogram", "item-buffer", "item-buffer-tiled", "histogram"];
 
 /// All of them, in the order in which they are told of.
 pub(super) fn standard() -> Vec<Entry> {
@@ -86,38 +93,37 @@ pub(super) fn standard() -> Vec<Entry> {
             about: "conservative PLP: cells of a tessellation from the eye outward, queried against what was drawn",
             conservative: true,
             by_rays: false,
-            tessellations: &[OCTREE, KD_TREE],
-            queries: &[
-                "sampled",
-                "item-buffer",
-                "item-buffer-tiled",
-                "histogram",
-                "one-at-a-time",
-                "per-fragment-histogram",
-            ],
+            tessellations: &[OCTREE, KD_TREE, PRISMS],
+            queries: CPLP_QUERIES,
             budget: Budgets::Given(CPLP_BUDGET),
-            make: |shop, setting| {
-                let budget = Budget { triangles: shop.budget(setting) };
-                let (scene, cplp) = (shop.scene(), shop.cplp(setting));
-                match QueryKind::ALL.into_iter().find(|kind| Some(kind.name()) == setting.query) {
-                    Some(kind) => {
-                        let culler = CplpQueryCuller::new(scene.clone(), cplp.clone(), budget, kind);
-                        Box::new(WithFront::new(culler, scene, cplp, budget, kind))
-                    }
-                    None => {
-                        let culler = CplpCuller::new(scene.clone(), cplp.clone(), budget);
-                        let query = QueryKind::PerFragmentHistogram;
-                        Box::new(WithFront::new(culler, scene, cplp, budget, query))
-                    }
-                }
-            },
+            make: |shop, setting| cplp(shop, setting, Occupancy::Off),
+        },
+        Entry {
+            name: "cplp-occupancy",
+            about: "the same, with a map of where was drawn that spares queries of cells that are certainly seen (Staneker)",
+            conservative: true,
+            by_rays: false,
+            tessellations: &[OCTREE, KD_TREE, PRISMS],
+            queries: CPLP_QUERIES,
+            budget: Budgets::Given(CPLP_BUDGET),
+            make: |shop, setting| cplp(shop, setting, Occupancy::Single),
+        },
+        Entry {
+            name: "cplp-batches",
+            about: "the same, with four more maps that arrange what is left of a front into batches",
+            conservative: true,
+            by_rays: false,
+            tessellations: &[OCTREE, KD_TREE, PRISMS],
+            queries: &CPLP_QUERIES_BATCHED,
+            budget: Budgets::Given(CPLP_BUDGET),
+            make: |shop, setting| cplp(shop, setting, Occupancy::Batched),
         },
         Entry {
             name: "plp",
             about: "PLP within a budget by its default rule: cells by how much of them looks covered, not conservative",
             conservative: false,
             by_rays: false,
-            tessellations: &[DELAUNAY, OCTREE, FINE_OCTREE],
+            tessellations: &[DELAUNAY, OCTREE, FINE_OCTREE, PRISMS],
             queries: &[],
             budget: Budgets::Any(PLP_BUDGET),
             make: |shop, setting| {
@@ -130,7 +136,7 @@ pub(super) fn standard() -> Vec<Entry> {
             about: "PLP within a budget by the paper's rule: solidity from counts of triangles, not conservative",
             conservative: false,
             by_rays: false,
-            tessellations: &[DELAUNAY, OCTREE, FINE_OCTREE],
+            tessellations: &[DELAUNAY, OCTREE, FINE_OCTREE, PRISMS],
             queries: &[],
             budget: Budgets::Any(PLP_BUDGET),
             make: |shop, setting| {
@@ -163,13 +169,30 @@ pub(super) fn standard() -> Vec<Entry> {
             about: "cells in view by distance, one query each: the paper's HP baseline",
             conservative: true,
             by_rays: false,
-            tessellations: &[OCTREE, KD_TREE],
+            tessellations: &[OCTREE, KD_TREE, PRISMS],
             queries: &["sampled"],
             budget: Budgets::None,
-            make: |shop, setting| {
-                let tessellation = shop.tessellation(setting);
-                Box::new(WithScratch::new(QueryFrontToBack::new(shop.scene(), tessellation)))
-            },
+            make: |shop, setting| query_front_to_back(shop, setting, Occupancy::Off),
+        },
+        Entry {
+            name: "query-front-to-back-occupancy",
+            about: "the same, with a map of where was drawn that spares queries of cells that are certainly seen (Staneker)",
+            conservative: true,
+            by_rays: false,
+            tessellations: &[OCTREE, KD_TREE, PRISMS],
+            queries: &["sampled"],
+            budget: Budgets::None,
+            make: |shop, setting| query_front_to_back(shop, setting, Occupancy::Single),
+        },
+        Entry {
+            name: "query-front-to-back-batches",
+            about: "the same, with what is left asked in five batches after that, as four more maps arrange them",
+            conservative: true,
+            by_rays: false,
+            tessellations: &[OCTREE, KD_TREE, PRISMS],
+            queries: &["sampled"],
+            budget: Budgets::None,
+            make: |shop, setting| query_front_to_back(shop, setting, Occupancy::Batched),
         },
         Entry {
             name: "hierarchical-z",
@@ -201,11 +224,24 @@ pub(super) fn standard() -> Vec<Entry> {
             },
         },
         Entry {
+            name: "hierarchical-z-occupancy",
+            about: "`hierarchical-z` with a map of where was drawn that is asked first",
+            conservative: true,
+            by_rays: false,
+            tessellations: &[OCTREE],
+            queries: &["pyramid"],
+            budget: Budgets::None,
+            make: |shop, _| {
+                let culler = HierarchicalZ::new(shop.scene(), shop.octree()).with_occupancy_map(true);
+                Box::new(WithScratch::new(culler))
+            },
+        },
+        Entry {
             name: "region",
             about: "for every eye of a ball and every resolution: under-estimating coverage with supporting planes",
             conservative: true,
             by_rays: true,
-            tessellations: &[KD_TREE, OCTREE],
+            tessellations: &[KD_TREE, OCTREE, PRISMS],
             queries: &["under"],
             budget: Budgets::None,
             make: |shop, setting| {
@@ -214,4 +250,28 @@ pub(super) fn standard() -> Vec<Entry> {
             },
         },
     ]
+}
+
+/// cPLP with the query back end of a setting, with or without occupancy maps.
+fn cplp(shop: &mut Shop, setting: &Setting, occupancy: Occupancy) -> Box<dyn Candidate> {
+    let budget = Budget { triangles: shop.budget(setting) };
+    let (scene, cplp) = (shop.scene(), shop.cplp(setting));
+    match QueryKind::ALL.into_iter().find(|kind| Some(kind.name()) == setting.query) {
+        Some(kind) => {
+            let culler = CplpQueryCuller::new(scene.clone(), cplp.clone(), budget, kind).with_occupancy(occupancy);
+            Box::new(WithFront::new(culler, scene, cplp, budget, kind))
+        }
+        None => {
+            let culler = CplpCuller::new(scene.clone(), cplp.clone(), budget);
+            let culler = culler.with_occupancy_map(occupancy != Occupancy::Off);
+            let query = QueryKind::PerFragmentHistogram;
+            Box::new(WithFront::new(culler, scene, cplp, budget, query))
+        }
+    }
+}
+
+/// One query a cell, with or without occupancy maps.
+fn query_front_to_back(shop: &mut Shop, setting: &Setting, occupancy: Occupancy) -> Box<dyn Candidate> {
+    let tessellation = shop.tessellation(setting);
+    Box::new(WithScratch::new(QueryFrontToBack::new(shop.scene(), tessellation).with_occupancy(occupancy)))
 }

@@ -248,14 +248,19 @@ mod tests {
             "large-occluder · planes",
             "masked · kd-tree · masks",
             "cplp · octree · sampled · 100",
+            "cplp-occupancy · octree · sampled · 100",
+            "cplp-batches · octree · per-fragment-histogram · 100",
             "plp · delaunay · 10%",
             "plp-paper · delaunay · 10%",
             "centroid · 10%",
             "centroid-culled · 10%",
             "query-front-to-back · octree · sampled",
+            "query-front-to-back-occupancy · octree · sampled",
+            "query-front-to-back-batches · octree · sampled",
             "hierarchical-z · octree · pyramid",
             "hierarchical-z-plp · octree · pyramid · 4000",
-            "region · octree · under",
+            "hierarchical-z-occupancy · octree · pyramid",
+            "region · kd-tree · under",
         ];
         assert_eq!(labels(&registry, &sweep(&["all"], &[], &[], &[])), best);
         assert_eq!(labels(&registry, &Sweep::default()), best);
@@ -263,7 +268,7 @@ mod tests {
             labels(&registry, &sweep(&["cplp", "zbuffer", "cplp"], &["octree"], &["sampled"], &[0, 500, 0])),
             ["cplp · octree · sampled · 0", "cplp · octree · sampled · 500", "zbuffer"]
         );
-        assert_eq!(labels(&registry, &sweep(&["cplp"], &["all"], &["all"], &[])).len(), 2 * 6);
+        assert_eq!(labels(&registry, &sweep(&["cplp"], &["all"], &["all"], &[])).len(), 3 * 6);
         let other = Entry { name: "other", tessellations: &["slabs", "octree"], ..*registry.entry("cplp").unwrap() };
         let registry = registry.with(other);
         assert_eq!(
@@ -302,7 +307,7 @@ mod tests {
         );
         assert!(
             message(&sweep(&[], &["bsp"], &[], &[]))
-                .contains("no tessellation `bsp`; known: delaunay, fine-octree, kd-tree, octree")
+                .contains("no tessellation `bsp`; known: delaunay, fine-octree, kd-tree, octree, prisms")
         );
         assert!(message(&sweep(&[], &[], &["gpu"], &[])).contains("no query `gpu`; known: histogram, "));
         let other = Entry { name: "other", tessellations: &["slabs"], ..*registry.entry("cplp").unwrap() };

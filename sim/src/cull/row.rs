@@ -11,6 +11,7 @@ pub struct CullRow {
     pub world: String,
     pub culler: String,
     pub tessellation: Option<String>,
+    pub tessellation_why: Option<String>,
     pub query: Option<String>,
     pub budget: Option<String>,
     pub budget_triangles: Option<usize>,
@@ -43,6 +44,7 @@ pub struct CullRow {
     pub passes: f64,
     pub cells: f64,
     pub queries: f64,
+    pub visible_query_pixels: f64,
     pub bounds: f64,
     pub occluders: f64,
     pub plp_triangles: f64,
@@ -102,6 +104,7 @@ pub fn columns() -> Vec<Column> {
         column("world", "", "what was looked at"),
         column("culler", "", "which culler"),
         column("tessellation", "", "what its cells are, if it has any"),
+        column("tessellation_why", "", "why these cells and not those that were asked for, if so"),
         column("query", "", "what answers its queries, if it asks any"),
         column(
             "budget",
@@ -162,6 +165,11 @@ pub fn columns() -> Vec<Column> {
         ),
         column("cells", "", "cells projected per view, mean"),
         column("queries", "", "cells asked about per view, mean"),
+        column(
+            "visible_query_pixels",
+            "",
+            "depths compared by queries about cells that turned out to be seen, per view: what an occupancy map spares",
+        ),
         column("bounds", "", "boxes of objects and clusters asked about, per view, where the culler asks them itself"),
         column(
             "occluders",

@@ -71,7 +71,11 @@ pub fn run(
     registry: &Registry,
     mut each_view: impl FnMut(),
 ) -> Outcome {
-    let mut shop = Shop::new(world.scene.clone());
+    let shop = Shop::new(world.scene.clone());
+    let mut shop = match &world.tessellation {
+        Some(made) => shop.with_tessellation(made.clone()),
+        None => shop,
+    };
     let mut made: Vec<(&Setting, &Entry, f64, Box<dyn Candidate>)> = Vec::new();
     for setting in &config.settings {
         let Some(entry) = registry.entry(setting.culler) else { continue };
@@ -80,7 +84,13 @@ pub fn run(
         made.push((setting, entry, millis(began), candidate));
     }
     let rays = OnceCell::new();
-    let mut outcome = Outcome { rows: Vec::new(), pictures: Vec::new(), notes: shop.notes().to_vec() };
+    let stand_in = |setting: &Setting| {
+        let (instead, why) = shop.instead(setting)?;
+        Some(format!("{instead} stands in for {}: {why}", setting.tessellation.unwrap_or_default()))
+    };
+    let mut notes: Vec<String> = made.iter().filter_map(|(setting, ..)| stand_in(setting)).collect();
+    notes.dedup();
+    let mut outcome = Outcome { rows: Vec::new(), pictures: Vec::new(), notes };
     for &resolution in &config.resolutions {
         let mut max_pass = MaxPass::new(resolution);
         for &radius in &config.eye_radii {
@@ -116,7 +126,7 @@ pub fn run(
                 let about = About {
                     world,
                     setting,
-                    tessellation: shop.used_tessellation(setting),
+                    instead: shop.instead(setting),
                     conservative: entry.conservative,
                     build_ms: *build_ms,
                     config,

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    AutoBudget, AutoBudgetRules, Budget, Cplp, Delaunay, DelaunayRules, KdRules, KdTree, Occluders, Octree,
-    OctreeRules, Plp, PlpCells, PlpRules, Scene, Tessellation,
+    AnyTessellation, AutoBudget, AutoBudgetRules, Budget, Cplp, Delaunay, DelaunayError, DelaunayRules, KdRules,
+    KdTree, Occluders, Octree, OctreeRules, Plp, PlpCells, PlpRules, Prisms, PrismsError, Scene, Tessellation,
 };
 
 use super::budget::{AskedBudget, BudgetKind};
@@ -16,6 +16,7 @@ pub(super) const DELAUNAY: &str = "delaunay";
 pub(super) const OCTREE: &str = "octree";
 pub(super) const FINE_OCTREE: &str = "fine-octree";
 pub(super) const KD_TREE: &str = "kd-tree";
+pub(super) const PRISMS: &str = "prisms";
 
 /// Longest side of the fine octree's leaves, as a share of the scene's: a quarter of the paper's, about as many cells as its tetrahedra.
 const FINE_LEAF: f64 = 0.0125;
@@ -28,9 +29,8 @@ pub struct Shop {
     occluders: Option<Arc<Occluders>>,
     plp_octree: Option<PlpCells>,
     fine_octree: Option<PlpCells>,
-    /// The inner one is `None` if none could be made.
-    delaunay: Option<Option<PlpCells>>,
-    notes: Vec<String>,
+    delaunay: Option<Result<Arc<Delaunay>, DelaunayError>>,
+    prisms: Option<Result<Arc<Prisms>, PrismsError>>,
 }
 
 impl Shop {
@@ -44,8 +44,38 @@ impl Shop {
             plp_octree: None,
             fine_octree: None,
             delaunay: None,
-            notes: Vec::new(),
+            prisms: None,
         }
+    }
+
+    /// The same with a tessellation that was made before, in place of the one of its kind.
+    pub fn with_tessellation(mut self, made: AnyTessellation) -> Shop {
+        match made {
+            AnyTessellation::Octree(octree) => {
+                self.plp_octree = Some(PlpCells::Boxes(octree.clone()));
+                self.octree = Some(octree);
+            }
+            AnyTessellation::KdTree(kd_tree) => self.kd_tree = Some(kd_tree),
+            AnyTessellation::Delaunay(delaunay) => self.delaunay = Some(Ok(delaunay)),
+            AnyTessellation::Prisms(prisms) => self.prisms = Some(Ok(prisms)),
+        }
+        self
+    }
+
+    /// Which tessellation stands in for the one that a setting names, and why, if that could not be made.
+    pub fn instead(&self, setting: &Setting) -> Option<(&'static str, String)> {
+        let why = match setting.tessellation? {
+            PRISMS => self.prisms.as_ref()?.as_ref().err()?.to_string(),
+            DELAUNAY => self.delaunay.as_ref()?.as_ref().err()?.to_string(),
+            _ => return None,
+        };
+        Some((OCTREE, why))
+    }
+
+    /// Prisms, or why there are none.
+    fn prisms(&mut self) -> Option<Arc<Prisms>> {
+        let scene = &self.scene;
+        self.prisms.get_or_insert_with(|| Prisms::build(scene).map(Arc::new)).clone().ok()
     }
 
     /// The scene.
@@ -65,6 +95,11 @@ impl Shop {
                 let kd_tree = &mut self.kd_tree;
                 kd_tree.get_or_insert_with(|| Arc::new(KdTree::build(&self.scene, KdRules::default()))).clone()
             }
+            // Where there are no storeys the octree stands in for prisms.
+            Some(PRISMS) => match self.prisms() {
+                Some(prisms) => prisms,
+                None => self.octree(),
+            },
             _ => self.octree(),
         }
     }
@@ -74,42 +109,23 @@ impl Shop {
         Arc::new(Cplp::new(self.tessellation(setting)))
     }
 
-    /// The cells that PLP walks: octree leaves by the paper's rules or a quarter as long, or tetrahedra over the former. Where no
-    /// tetrahedra can be made, the octree stands in for them, and [`Shop::notes`] says why.
+    /// The cells that PLP walks: octree leaves by the paper's rules or a quarter as long, tetrahedra over the former, or prisms.
+    /// Where these cannot be made, the octree stands in for them, and [`Shop::instead`] says why.
     pub fn plp_cells(&mut self, setting: &Setting) -> PlpCells {
-        let Shop { scene, plp_octree, fine_octree, delaunay, notes, .. } = self;
-        let octree = |rules: OctreeRules| PlpCells::Boxes(Arc::new(Octree::build(scene, rules)));
-        let mut coarse = || plp_octree.get_or_insert_with(|| octree(OctreeRules::paper())).clone();
-        match setting.tessellation {
+        let octree = |scene: &Scene, rules: OctreeRules| PlpCells::Boxes(Arc::new(Octree::build(scene, rules)));
+        let made = match setting.tessellation {
             Some(FINE_OCTREE) => {
                 let rules = OctreeRules::paper().with_leaf_side(FINE_LEAF);
-                fine_octree.get_or_insert_with(|| octree(rules)).clone()
+                Some(self.fine_octree.get_or_insert_with(|| octree(&self.scene, rules)).clone())
             }
-            Some(OCTREE) => coarse(),
-            _ => {
-                let made = delaunay.get_or_insert_with(|| match Delaunay::build(scene, DelaunayRules::default()) {
-                    Ok(delaunay) => Some(PlpCells::Tetrahedra(Arc::new(delaunay))),
-                    Err(error) => {
-                        notes.push(format!("the octree stands in for the Delaunay tessellation: {error}"));
-                        None
-                    }
-                });
-                made.clone().unwrap_or_else(coarse)
+            Some(PRISMS) => self.prisms().map(PlpCells::Prisms),
+            Some(DELAUNAY) => {
+                let made = || Delaunay::build(&self.scene, DelaunayRules::default()).map(Arc::new);
+                self.delaunay.get_or_insert_with(made).clone().ok().map(PlpCells::Tetrahedra)
             }
-        }
-    }
-
-    /// The name of the tessellation that a setting runs with: what was asked for, unless another had to stand in.
-    pub fn used_tessellation(&self, setting: &Setting) -> Option<&'static str> {
-        match setting.tessellation {
-            Some(DELAUNAY) if self.delaunay.as_ref().is_some_and(Option::is_none) => Some(OCTREE),
-            asked => asked,
-        }
-    }
-
-    /// What a reader of the report should know about how parts were made.
-    pub fn notes(&self) -> &[String] {
-        &self.notes
+            _ => None,
+        };
+        made.unwrap_or_else(|| self.plp_octree.get_or_insert_with(|| octree(&self.scene, OctreeRules::paper())).clone())
     }
 
     /// PLP over the cells that a setting names.
@@ -155,12 +171,14 @@ mod tests {
         let sweep = super::super::registry::Sweep { cullers: vec!["plp".into()], ..Default::default() };
         let setting = Registry::standard().settings(&sweep).unwrap().remove(0);
         assert!(matches!(shop.plp_cells(&setting), PlpCells::Tetrahedra(_)));
-        assert_eq!((shop.used_tessellation(&setting), shop.notes().len()), (Some(DELAUNAY), 0));
-        // As a failed build leaves it.
-        shop.delaunay = Some(None);
-        assert!(matches!(shop.plp_cells(&setting), PlpCells::Boxes(_)));
-        assert_eq!(shop.used_tessellation(&setting), Some(OCTREE));
+        assert_eq!(shop.instead(&setting), None);
+        // One triangle has no storeys.
+        let prisms = Setting { tessellation: Some(PRISMS), ..setting.clone() };
+        assert!(matches!(shop.plp_cells(&prisms), PlpCells::Boxes(_)));
+        let (instead, why) = shop.instead(&prisms).unwrap();
+        assert_eq!(instead, OCTREE);
+        assert!(why.contains("storeys"), "{why}");
         let other = Setting { tessellation: Some(FINE_OCTREE), ..setting };
-        assert_eq!(shop.used_tessellation(&other), Some(FINE_OCTREE));
+        assert_eq!(shop.instead(&other), None);
     }
 }

@@ -187,6 +187,7 @@ pub(super) struct Tally {
     passes: u64,
     cells: u64,
     queries: u64,
+    visible_query_pixels: u64,
     plp: u64,
     occluders: u64,
     bounds: u64,
@@ -205,8 +206,8 @@ pub(super) struct Tally {
 pub(super) struct About<'a> {
     pub(super) world: &'a World,
     pub(super) setting: &'a Setting,
-    /// What it ran with, if another had to stand in.
-    pub(super) tessellation: Option<&'static str>,
+    /// Which cells stood in for what was asked for, and why.
+    pub(super) instead: Option<(&'static str, String)>,
     pub(super) conservative: bool,
     pub(super) build_ms: f64,
     pub(super) config: &'a CullConfig,
@@ -220,6 +221,7 @@ impl Tally {
         self.passes += culled.traversal.passes as u64;
         self.cells += culled.traversal.cells_projected as u64;
         self.queries += culled.traversal.queries as u64;
+        self.visible_query_pixels += culled.traversal.seen_z_tests;
         self.plp += culled.traversal.plp_triangles as u64;
         self.occluders += culled.traversal.polygons_drawn as u64;
         self.bounds += culled.traversal.bounds_tested as u64;
@@ -265,7 +267,8 @@ impl Tally {
         CullRow {
             world: about.world.name.clone(),
             culler: about.setting.culler.to_owned(),
-            tessellation: about.tessellation.map(Into::into),
+            tessellation: about.instead.as_ref().map(|(name, _)| *name).or(about.setting.tessellation).map(Into::into),
+            tessellation_why: about.instead.as_ref().map(|(_, why)| why.clone()),
             query: about.setting.query.map(Into::into),
             budget: about.setting.budget.as_ref().map(|budget| budget.text().to_owned()),
             budget_triangles: (self.budgets > 0).then(|| (self.budget as f64 / self.budgets as f64).round() as usize),
@@ -298,6 +301,7 @@ impl Tally {
             passes: mean(self.passes),
             cells: mean(self.cells),
             queries: mean(self.queries),
+            visible_query_pixels: mean(self.visible_query_pixels),
             bounds: mean(self.bounds),
             occluders: mean(self.occluders),
             plp_triangles: mean(self.plp),

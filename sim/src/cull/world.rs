@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use eyeline_server::spec::WorldSpec;
-use eyeline_visibility::{Aabb, LoadOptions, RayScene, Scene, load_file, load_glb};
+use eyeline_visibility::{Aabb, AnyTessellation, LoadOptions, RayScene, Scene, load_file, load_glb};
 use glam::{DVec2, DVec3};
 use rand::RngExt;
 use rand_pcg::Pcg64;
@@ -45,6 +45,8 @@ pub struct World {
     pub object_boxes: Vec<Aabb>,
     /// What a reader of a report should know about how it was loaded.
     pub notes: Vec<String>,
+    /// A tessellation of the scene that was made before, in place of the one of its kind.
+    pub tessellation: Option<AnyTessellation>,
     standing: Standing,
 }
 
@@ -90,7 +92,7 @@ impl World {
             let corners = object.triangles.iter().flat_map(|triangle| triangle.corners);
             corners.fold(Aabb::EMPTY, |aabb, corner| aabb.with_point(corner.as_dvec3() + object.origin))
         });
-        World { object_boxes: boxes.collect(), name, scene, notes, standing }
+        World { object_boxes: boxes.collect(), name, scene, notes, tessellation: None, standing }
     }
 
     /// A world by the name of its maker or of its file.

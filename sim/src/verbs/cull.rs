@@ -12,7 +12,7 @@ use eyeline_sim::cull::report::{report, write_pictures};
 use eyeline_sim::cull::run::run as run_cullers;
 use eyeline_sim::cull::{AskedBudget, CameraPath, CullConfig, Registry, Sweep, World, WorldRules, columns, row};
 use eyeline_sim::report::{Progress, Run, rfc3339, table};
-use eyeline_visibility::Resolution;
+use eyeline_visibility::{AnyTessellation, Resolution};
 
 use super::resolution;
 
@@ -31,6 +31,11 @@ pub struct Cull {
     /// Tessellations to sweep, all or names [default: each culler's best]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     tessellation: Vec<String>,
+
+    /// A file of `eyeline-sim tessellate` for this very scene: used in place of making cells of its kind, and swept if no
+    /// tessellation is named
+    #[arg(long, value_name = "FILE")]
+    tessellation_file: Option<PathBuf>,
 
     /// Query back ends to sweep, all or names [default: each culler's best]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
@@ -115,6 +120,14 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim cull --world oa_dm2.glb --cullers plp,centroid --budgets 1x,2x,4x
   eyeline-sim cull --world vessels --cullers frustum-backface,plp --budgets auto,4ms
 
+  What occupancy maps spare (Staneker 2003, table 2: visible_query_pixels), each back end with and without:
+  eyeline-sim cull --world city --cullers cplp,cplp-occupancy,cplp-batches --query all
+  eyeline-sim cull --world city --cullers query-front-to-back,query-front-to-back-occupancy,query-front-to-back-batches
+
+  Cells that end at walls, and cells from a file:
+  eyeline-sim cull --world office --cullers cplp --tessellation octree,kd-tree,prisms
+  eyeline-sim cull --world city --cullers plp --tessellation-file city.tess
+
   The same views again:
   eyeline-sim cull --world rooms.glb --views 50 --record walk.json
   eyeline-sim cull --world rooms.glb --path walk.json
@@ -127,12 +140,13 @@ pub fn run(options: &Cull) -> anyhow::Result<()> {
     let (began, started) = (Instant::now(), rfc3339(SystemTime::now()));
     let registry = Registry::standard();
     // Names first: a world may take long to load.
-    let settings = registry.settings(&Sweep {
+    let mut sweep = Sweep {
         cullers: options.cullers.clone(),
         tessellations: options.tessellation.clone(),
         queries: options.query.clone(),
         budgets: options.budgets.clone(),
-    })?;
+    };
+    registry.settings(&sweep)?;
     let replayed = options.path.as_deref().map(CameraPath::read).transpose()?;
     let mut world = World::open(
         &options.world,
@@ -144,6 +158,15 @@ pub fn run(options: &Cull) -> anyhow::Result<()> {
             views: options.views,
         },
     )?;
+    if let Some(file) = &options.tessellation_file {
+        let made = AnyTessellation::read(&world.scene, file)?;
+        if sweep.tessellations.is_empty() {
+            sweep.tessellations = vec![made.name().to_owned()];
+        }
+        world.notes.push(format!("cells of kind {} from {}", made.name(), file.display()));
+        world.tessellation = Some(made);
+    }
+    let settings = registry.settings(&sweep)?;
     let path = match replayed {
         Some(mut path) => {
             path.cameras.truncate(options.views.map_or(usize::MAX, |views| views as usize));

@@ -13,6 +13,7 @@ mod serve;
 mod soak;
 mod stability;
 mod swarm;
+mod tessellate;
 mod track;
 
 use std::io::Write as _;
@@ -33,6 +34,9 @@ pub enum Verb {
     /// Compare cullers: wrong pixels, what was kept and what was lost, z-tests and time
     #[command(after_long_help = cull::EXAMPLES)]
     Cull(Box<cull::Cull>),
+    /// Make the cells of a scene once and keep them in a file, for `cull --tessellation-file`
+    #[command(after_long_help = tessellate::EXAMPLES)]
+    Tessellate(tessellate::Tessellate),
     /// Repeat the papers' experiments with trackers: work, time and messages, without a network
     #[command(after_long_help = track::EXAMPLES)]
     Track(Box<track::Track>),
@@ -74,6 +78,7 @@ pub fn run(verb: &Verb) -> anyhow::Result<()> {
         Verb::Measure(options) => measure::run(options),
         Verb::Why(options) => measure::explain(options),
         Verb::Cull(options) => cull::run(options),
+        Verb::Tessellate(options) => tessellate::run(options),
         Verb::Track(options) => track::run(options),
         Verb::Bake(options) => bake::run(options),
         Verb::Scene(options) => scene::run(options),

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::QueryKind;
 use crate::culler::everything;
-use crate::{Budget, Cplp, Culled, Culler, EyeRegion, OctreeRules, RoundsTraversal, Scene, Scratch, View};
+use crate::{Budget, Cplp, Culled, Culler, EyeRegion, Occupancy, OctreeRules, RoundsTraversal, Scene, Scratch, View};
 
 /// Conservative PLP by rounds over one of the CPU's query back ends: the paper's cPLP-IB, cPLP-HG, cPLP-HP and cPLP-EXT.
 ///
@@ -15,18 +15,24 @@ pub struct CplpQueryCuller {
     cplp: Arc<Cplp>,
     budget: Budget,
     query: QueryKind,
+    occupancy: Occupancy,
 }
 
 impl CplpQueryCuller {
     /// Culls with cells that were made for this scene.
     pub fn new(scene: Arc<Scene>, cplp: Arc<Cplp>, budget: Budget, query: QueryKind) -> CplpQueryCuller {
-        CplpQueryCuller { scene, cplp, budget, query }
+        CplpQueryCuller { scene, cplp, budget, query, occupancy: Occupancy::Off }
     }
 
     /// Makes the cells by default rules.
     pub fn build(scene: Arc<Scene>, query: QueryKind) -> CplpQueryCuller {
         let cplp = Arc::new(Cplp::build(&scene, OctreeRules::default()));
         CplpQueryCuller::new(scene, cplp, Budget::default(), query)
+    }
+
+    /// The same with occupancy maps before the back end.
+    pub fn with_occupancy(self, occupancy: Occupancy) -> CplpQueryCuller {
+        CplpQueryCuller { occupancy, ..self }
     }
 
     /// The traversal and its cells.
@@ -41,7 +47,7 @@ impl CplpQueryCuller {
         region: EyeRegion,
         scratch: &mut Scratch,
     ) -> (Culled, Option<RoundsTraversal>) {
-        let Some((back_end, cplp_scratch)) = scratch.begin_query(view, region, self.query) else {
+        let Some((back_end, cplp_scratch)) = scratch.begin_query(view, region, self.query, self.occupancy) else {
             return (everything(&self.scene), None);
         };
         let rounds = self.cplp.traverse_rounds(&self.scene, view, self.budget, back_end, cplp_scratch);

@@ -1,7 +1,7 @@
 //! Would this box change the image? HP's occlusion test: one box, then its answer (Klosowski & Silva 2001, §3.1).
 
 use super::{QueryBackEnd, QueryCost, no_depth};
-use crate::raster_sampled::BoxPlace;
+use crate::raster_sampled::{BoxImage, BoxPlace};
 use crate::{Aabb, DepthBuffer, View};
 
 /// Tests one box after the other, so that each answer is there before the next box is asked, and what is seen can be drawn
@@ -26,18 +26,22 @@ impl Default for OneAtATimeQuery {
 
 /// Whether a box may be seen past what was drawn, and what it cost to know.
 pub(crate) fn test(depth: &DepthBuffer, aabb: &Aabb) -> (bool, QueryCost) {
-    let image = match depth.box_place(aabb) {
-        BoxPlace::Outside => return (false, QueryCost::default()),
-        BoxPlace::Touching => return (true, QueryCost::default()),
-        BoxPlace::In(image) => image,
-    };
+    match depth.box_place(aabb) {
+        BoxPlace::Outside => (false, QueryCost::default()),
+        BoxPlace::Touching => (true, QueryCost::default()),
+        BoxPlace::In(image) => test_image(depth, &image),
+    }
+}
+
+/// The same for a box whose image is known.
+pub(crate) fn test_image(depth: &DepthBuffer, image: &BoxImage) -> (bool, QueryCost) {
     let mut z_tests = 0;
     let seen = image.rows().any(|(y, columns)| {
         let [first, last] = columns;
         z_tests += last + 1 - first;
         image.front(y, columns).passing(0, &depth.row(y)[first..=last]) > 0
     });
-    depth.count_z_tests(z_tests);
+    depth.count_query(z_tests, seen);
     (seen, QueryCost { passes: 1, z_tests: z_tests as u64, read_back: 1 })
 }
 

@@ -43,7 +43,17 @@ pub(super) struct Passes<C> {
     finished: Vec<bool>,
     /// Per tile: whether a box of this query was seen in it.
     shown: Vec<bool>,
-    asked: Vec<(u32, BoxImage)>,
+    asked: Vec<Asked>,
+}
+
+/// A box that no pass has shown yet.
+#[derive(Clone, Debug)]
+struct Asked {
+    /// Its place in the query.
+    cell: u32,
+    image: BoxImage,
+    /// Pixels compared so far.
+    z_tests: usize,
 }
 
 impl<C: Colour> Passes<C> {
@@ -93,7 +103,7 @@ impl<C: Colour> Passes<C> {
             match self.depth.box_place(cell) {
                 BoxPlace::Outside => {}
                 BoxPlace::Touching => (seen[i], touching) = (true, true),
-                BoxPlace::In(image) => self.asked.push((i as u32, image)),
+                BoxPlace::In(image) => self.asked.push(Asked { cell: i as u32, image, z_tests: 0 }),
             }
         }
         self.shown.fill(false);
@@ -103,13 +113,20 @@ impl<C: Colour> Passes<C> {
             self.clear();
             cost.z_tests += self.draw();
             cost.read_back += self.read(seen, read_back);
-            self.asked.retain(|&(i, _)| !seen[i as usize]);
+            let depth = &self.depth;
+            self.asked.retain(|asked| {
+                let seen = seen[asked.cell as usize];
+                if seen {
+                    depth.count_query(asked.z_tests, true);
+                }
+                !seen
+            });
         }
+        self.asked.iter().for_each(|asked| self.depth.count_query(asked.z_tests, false));
         // A box that touches the near plane has no image: it may be what can be seen in any tile.
         if whole_front && !touching {
             self.finished.iter_mut().zip(&self.shown).for_each(|(finished, shown)| *finished |= !shown);
         }
-        self.depth.count_z_tests(cost.z_tests as usize);
         cost
     }
 
@@ -159,7 +176,8 @@ impl<C: Colour> Passes<C> {
     fn draw(&mut self) -> u64 {
         let (width, side) = (self.size[0], self.side);
         let mut z_tests = 0;
-        for (cell, image) in &self.asked {
+        for Asked { cell, image, z_tests: own } in &mut self.asked {
+            let before = z_tests;
             let colour = C::of_cell(*cell as usize);
             for (y, [first, last]) in image.rows() {
                 let tiles = y / side * self.columns;
@@ -179,6 +197,7 @@ impl<C: Colour> Passes<C> {
                     }
                 }
             }
+            *own += (z_tests - before) as usize;
         }
         z_tests
     }

@@ -46,21 +46,24 @@ impl QueryBackEnd for PerFragmentHistogram {
                 BoxPlace::Touching => u32::MAX,
                 BoxPlace::In(image) => {
                     drawn += 1;
-                    image
+                    let mut pixels = 0;
+                    let count = image
                         .rows()
                         .map(|(y, columns)| {
                             let [first, last] = columns;
-                            z_tests += last + 1 - first;
+                            pixels += last + 1 - first;
                             image.front(y, columns).passing(0, &self.depth.row(y)[first..=last])
                         })
-                        .sum()
+                        .sum();
+                    z_tests += pixels;
+                    self.depth.count_query(pixels, count > 0);
+                    count
                 }
             };
             self.counts.push(count);
         }
         seen.clear();
         seen.extend(self.counts.iter().map(|&count| count > 0));
-        self.depth.count_z_tests(z_tests);
         QueryCost { passes: usize::from(drawn > 0), z_tests: z_tests as u64, read_back: drawn }
     }
 

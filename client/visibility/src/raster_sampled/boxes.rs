@@ -14,14 +14,13 @@ use super::setup::{DEPTH_SLACK, Projector, SNAP_PX};
 use crate::{Aabb, Face};
 
 /// What an image shows of a box.
-#[expect(clippy::large_enum_variant, reason = "lives on the stack while a box is drawn")]
-pub(crate) enum BoxPlace {
+pub(crate) enum BoxPlace<T = BoxImage> {
     /// No pixel.
     Outside,
     /// It touches the eye or the near plane and may be in view: no image of it can be drawn.
     Touching,
     /// These pixels.
-    In(BoxImage),
+    In(T),
 }
 
 /// The outward-rounded image of a box behind the near plane.
@@ -35,6 +34,8 @@ pub(crate) struct BoxImage {
     z: f32,
     lines: [Line; 6],
     planes: [Plane; 3],
+    /// The pixel of each corner, in the image or not.
+    corners: [[i32; 2]; 8],
 }
 
 /// The least or the greatest column of a row: `per_row` · row + `at_zero`.
@@ -73,7 +74,14 @@ impl BoxImage {
             z,
             lines: silhouette(&image, heights.map(|height| height > 0.0), spread, f64::from(projector.height)),
             planes: planes(projector, heights, z, slack, spread, size),
+            corners: image.map(|corner| corner.map(|at| at.floor() as i32)),
         }
+    }
+
+    /// The pixels of the corners that lie in the box's rectangle.
+    pub(crate) fn corners(&self) -> impl Iterator<Item = [i32; 2]> {
+        let within = |&[x, y]: &[i32; 2]| self.x[0] <= x && x <= self.x[1] && self.y[0] <= y && y <= self.y[1];
+        self.corners.into_iter().filter(within)
     }
 
     /// First and last column of a row; descending if it shows nothing of the box.

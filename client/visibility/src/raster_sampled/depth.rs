@@ -5,7 +5,7 @@ use std::cell::Cell;
 use super::boxes::{BoxImage, BoxPlace};
 use super::seal;
 use super::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
-use crate::{Aabb, Bound, Occlusion, Scene, SealedFace, Target, Triangle, View};
+use crate::{Aabb, Bound, Occlusion, OccupancyMap, Scene, SealedFace, Target, Triangle, View};
 
 /// Side of a tile in pixels.
 pub(crate) const TILE: usize = 8;
@@ -29,6 +29,24 @@ pub struct DepthBuffer {
     /// Tiles that may have changed since they were asked for: first and last column, first and last row.
     drawn: [usize; 4],
     z_tests: Cell<u64>,
+    /// Those that queries took whose answer was "seen".
+    seen_z_tests: Cell<u64>,
+}
+
+/// Is told where something is drawn.
+pub(crate) trait Marks {
+    /// A piece of a triangle is drawn, within these columns and rows, first and last. Whether its spans are wanted.
+    fn piece(&mut self, x: [i32; 2], y: [i32; 2]) -> bool;
+    /// The columns of a row, first to last.
+    fn span(&mut self, y: i32, first: i32, last: i32);
+}
+
+impl Marks for () {
+    fn piece(&mut self, _: [i32; 2], _: [i32; 2]) -> bool {
+        false
+    }
+
+    fn span(&mut self, _: i32, _: i32, _: i32) {}
 }
 
 /// No tile.
@@ -46,6 +64,7 @@ impl DepthBuffer {
             stale: Vec::new(),
             drawn: NO_TILES,
             z_tests: Cell::new(0),
+            seen_z_tests: Cell::new(0),
         };
         buffer.begin(view);
         buffer
@@ -74,6 +93,7 @@ impl DepthBuffer {
         self.stale.resize(self.tiles_x * tiles_y, Cell::new(false));
         self.drawn = NO_TILES;
         self.z_tests.set(0);
+        self.seen_z_tests.set(0);
     }
 
     /// Comparisons of depths since the last `begin`, as the papers count depth complexity (Klosowski & Silva 2001, §4): one
@@ -83,6 +103,12 @@ impl DepthBuffer {
         self.z_tests.get()
     }
 
+    /// The part of [`DepthBuffer::z_tests`] that queries took of boxes that turned out to be seen: what an occupancy map is to
+    /// spare (Staneker et al. 2003, table 2). Tiles that were looked at count like pixels.
+    pub fn seen_z_tests(&self) -> u64 {
+        self.seen_z_tests.get()
+    }
+
     /// The target that draws primitives of `scene` into this image.
     pub fn target<'a>(&'a mut self, scene: &'a Scene) -> SampledTarget<'a> {
         SampledTarget { scene, buffer: self }
@@ -90,11 +116,25 @@ impl DepthBuffer {
 
     /// Draws those of the primitives that occlude.
     pub fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
-        self.draw_triangles(primitives.iter().map(|&id| &scene.triangles()[id as usize]));
+        self.draw_marking(scene, primitives, &mut ());
+    }
+
+    /// The same, and `marks` is told where.
+    pub(crate) fn draw_marking(&mut self, scene: &Scene, primitives: &[u32], marks: &mut impl Marks) {
+        self.draw_triangles_marking(primitives.iter().map(|&id| &scene.triangles()[id as usize]), marks);
     }
 
     /// Draws those of the triangles that occlude, of a scene or not. Corners are finite, as a scene's are.
     pub(crate) fn draw_triangles<'a>(&mut self, triangles: impl IntoIterator<Item = &'a Triangle>) {
+        self.draw_triangles_marking(triangles, &mut ());
+    }
+
+    /// The same, and `marks` is told where.
+    pub(crate) fn draw_triangles_marking<'a>(
+        &mut self,
+        triangles: impl IntoIterator<Item = &'a Triangle>,
+        marks: &mut impl Marks,
+    ) {
         let stride = self.tiles_x * TILE;
         let (depths, stale, tiles_x) = (&mut self.depths, &self.stale, self.tiles_x);
         let last_row = self.projector.height - 1;
@@ -111,7 +151,11 @@ impl DepthBuffer {
                 for tile_y in top..=bottom {
                     stale[tile_y * tiles_x + from..=tile_y * tiles_x + to].iter().for_each(|stale| stale.set(true));
                 }
+                let by_span = marks.piece(piece.x, piece.y);
                 piece.spans([0, last_row], |y, first, last, ramp| {
+                    if by_span {
+                        marks.span(y, first, last);
+                    }
                     let row = y as usize * stride;
                     ramp.draw_depths(0, &mut depths[row + first as usize..=row + last as usize]);
                     z_tests += (last - first + 1) as u64;
@@ -176,18 +220,49 @@ impl DepthBuffer {
         match self.place(aabb) {
             Place::Outside => false,
             Place::Touching => true,
-            Place::In { x, y, z } => (y[0] / TILE..=y[1] / TILE).any(|tile_y| {
-                let tiles = tile_y * self.tiles_x + x[0] / TILE..=tile_y * self.tiles_x + x[1] / TILE;
-                let mut tile_x = x[0] / TILE;
-                let seen = self.farthest[tiles].iter().any(|farthest| {
-                    let seen = farthest.get() <= z && self.sees_in_tile(tile_x, tile_y, x, y, z);
-                    tile_x += 1;
-                    seen
-                });
-                self.count_z_tests(tile_x - x[0] / TILE);
-                seen
-            }),
+            Place::In { x, y, z } => self.sees_rectangle(x, y, z),
         }
+    }
+
+    /// [`DepthBuffer::sees`] for a box of which a map may know that it is.
+    pub(crate) fn sees_past(&self, map: &OccupancyMap, aabb: &Aabb) -> bool {
+        match self.place(aabb) {
+            Place::Outside => false,
+            Place::Touching => true,
+            Place::In { x, y, z } => {
+                map.shows_rectangle([x, y]) || self.sees_in_few_pixels(x, y, z) || self.sees_rectangle(x, y, z)
+            }
+        }
+    }
+
+    /// Whether the middle of a rectangle or, if it is one of several tiles, one of its corners is no nearer than `z`: a few
+    /// pixels, where tiles have 64 each.
+    fn sees_in_few_pixels(&self, x: [usize; 2], y: [usize; 2], z: f32) -> bool {
+        let middle = [x[0].midpoint(x[1]), y[0].midpoint(y[1])];
+        let pixels = [middle, [x[0], y[0]], [x[1], y[0]], [x[0], y[1]], [x[1], y[1]]];
+        let large = y[1] - y[0] >= TILE && x[1] - x[0] >= TILE;
+        let pixels = &pixels[..if large { pixels.len() } else { 1 }];
+        let nearer = pixels.iter().take_while(|[x, y]| self.depths[y * self.tiles_x * TILE + x] > z).count();
+        self.count_query(pixels.len().min(nearer + 1), nearer < pixels.len());
+        nearer < pixels.len()
+    }
+
+    /// Whether any pixel of a rectangle is no nearer than `z`.
+    fn sees_rectangle(&self, x: [usize; 2], y: [usize; 2], z: f32) -> bool {
+        let before = self.z_tests.get();
+        let seen = (y[0] / TILE..=y[1] / TILE).any(|tile_y| {
+            let tiles = tile_y * self.tiles_x + x[0] / TILE..=tile_y * self.tiles_x + x[1] / TILE;
+            let mut tile_x = x[0] / TILE;
+            let seen = self.farthest[tiles].iter().any(|farthest| {
+                let seen = farthest.get() <= z && self.sees_in_tile(tile_x, tile_y, x, y, z);
+                tile_x += 1;
+                seen
+            });
+            self.count_z_tests(tile_x - x[0] / TILE);
+            seen
+        });
+        self.count_seen(before, seen);
+        seen
     }
 
     /// Whether any pixel of the tile in the rectangle is no nearer than `z`.
@@ -207,6 +282,19 @@ impl DepthBuffer {
 
     pub(crate) fn count_z_tests(&self, count: usize) {
         self.z_tests.set(self.z_tests.get() + count as u64);
+    }
+
+    /// Counts the pixels of a query with its answer.
+    pub(crate) fn count_query(&self, z_tests: usize, seen: bool) {
+        let before = self.z_tests.get();
+        self.count_z_tests(z_tests);
+        self.count_seen(before, seen);
+    }
+
+    /// Counts what was compared since there were `before` comparisons as a query's that said "seen", if it did.
+    pub(crate) fn count_seen(&self, before: u64, seen: bool) {
+        let since = if seen { self.z_tests.get() - before } else { 0 };
+        self.seen_z_tests.set(self.seen_z_tests.get() + since);
     }
 
     /// The farthest depth of a tile, found again if it was drawn into.
@@ -250,6 +338,25 @@ impl DepthBuffer {
         &self.depths[y * stride..(y + 1) * stride]
     }
 
+    /// Columns and rows of pixels.
+    pub(crate) fn size(&self) -> [usize; 2] {
+        [self.projector.width, self.projector.height].map(|size| size as usize)
+    }
+
+    /// The rectangle that holds every pixel that may show any of a box.
+    pub(crate) fn rectangle(&self, aabb: &Aabb) -> BoxPlace<BoxRectangle> {
+        match self.place(aabb) {
+            Place::Outside => BoxPlace::Outside,
+            Place::Touching => BoxPlace::Touching,
+            Place::In { x, y, z } => BoxPlace::In(BoxRectangle { x, y, z }),
+        }
+    }
+
+    /// The image of a box whose rectangle is known.
+    pub(crate) fn box_image(&self, aabb: &Aabb, BoxRectangle { x, y, z }: BoxRectangle) -> BoxImage {
+        BoxImage::new(&self.projector, aabb, x, y, z)
+    }
+
     /// What an image with everything rounded outward shows of a box.
     pub(crate) fn box_place(&self, aabb: &Aabb) -> BoxPlace {
         match self.place(aabb) {
@@ -268,6 +375,14 @@ fn centres(range: [f64; 2], spread: f64, size: i32) -> [i32; 2] {
     let high = (range[1] + spread - 0.5).clamp(-1.0, size - 1.0);
     let [from, to] = [low as i32, high as i32];
     [from + i32::from(f64::from(from) < low), to - i32::from(f64::from(to) > high)]
+}
+
+/// Columns and rows of pixels, first and last, that may show a box, which is no nearer than a reversed depth.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct BoxRectangle {
+    pub(crate) x: [usize; 2],
+    pub(crate) y: [usize; 2],
+    z: f32,
 }
 
 /// Where a box is.
@@ -313,5 +428,33 @@ impl Target for SampledTarget<'_> {
     /// Only an image without pixels is: what is covered may still be covered by something nearer.
     fn is_full(&self) -> bool {
         self.buffer.has_no_pixels()
+    }
+}
+
+/// A [`SampledTarget`] with a map of where it drew.
+pub(crate) struct MappedTarget<'a> {
+    pub(crate) target: SampledTarget<'a>,
+    pub(crate) map: &'a mut OccupancyMap,
+}
+
+impl Target for MappedTarget<'_> {
+    fn draw(&mut self, primitives: &[u32]) {
+        self.target.buffer.draw_marking(self.target.scene, primitives, self.map);
+    }
+
+    fn sees(&self, aabb: &Aabb) -> bool {
+        self.target.buffer.sees_past(self.map, aabb)
+    }
+
+    fn in_view(&self, aabb: &Aabb) -> bool {
+        self.target.in_view(aabb)
+    }
+
+    fn believes(&self, seal: &SealedFace<'_>) -> bool {
+        self.target.believes(seal)
+    }
+
+    fn is_full(&self) -> bool {
+        self.target.is_full()
     }
 }

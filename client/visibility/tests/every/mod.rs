@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use eyeline_visibility::{
     Budget, Cplp, CplpCuller, CplpQueryCuller, Culler, EyeRegion, FrustumBackface, HierarchicalZ, KdRules, KdTree,
-    LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Octree, OctreeRules, QueryFrontToBack, QueryKind,
-    RegionCuller, Scene, Scratch, Tessellation, View, ZBuffer, exact_set, wrong_pixels,
+    LargeOccluder, LargeOccluderRules, MaskedCplp, Occluders, Occupancy, Octree, OctreeRules, Prisms, QueryFrontToBack,
+    QueryKind, RegionCuller, Scene, Scratch, Tessellation, View, ZBuffer, exact_set, wrong_pixels,
 };
 
 /// A culler and what failures call it.
@@ -42,16 +42,46 @@ pub fn cullers(scene: &Arc<Scene>) -> Vec<Named> {
         named("cPLP in a kD-tree", CplpCuller::new(scene.clone(), in_kd.clone(), Budget::default())),
         named("front to back", QueryFrontToBack::new(scene.clone(), octree.clone())),
         named("hierarchical Z", HierarchicalZ::new(scene.clone(), octree.clone())),
+        named("hierarchical Z, mapped", HierarchicalZ::new(scene.clone(), octree.clone()).with_occupancy_map(true)),
+        named(
+            "cPLP, mapped",
+            CplpCuller::new(scene.clone(), in_octree.clone(), Budget::default()).with_occupancy_map(true),
+        ),
         named("large occluders", LargeOccluder::build(scene.clone())),
         named(FROM_A_REGION, RegionCuller::new(scene.clone(), in_kd, occluders, 64 * 64)),
     ];
+    let octree_again = octree.clone();
     cullers.extend(masked(scene, octree, "an octree"));
     cullers.extend(masked(scene, kd, "a kD-tree"));
     for query in QueryKind::ALL {
         let culler = CplpQueryCuller::new(scene.clone(), in_octree.clone(), Budget::default(), query);
-        cullers.push(named(query.name(), culler));
+        cullers.push(named(query.name(), culler.clone()));
+        for occupancy in [Occupancy::Single, Occupancy::Batched] {
+            let name = format!("{}, {occupancy:?}", query.name());
+            cullers.push(named(name, culler.clone().with_occupancy(occupancy)));
+        }
     }
+    for occupancy in [Occupancy::Single, Occupancy::Batched] {
+        let culler = QueryFrontToBack::new(scene.clone(), octree_again.clone()).with_occupancy(occupancy);
+        cullers.push(named(format!("front to back, {occupancy:?}"), culler));
+    }
+    cullers.extend(in_prisms(scene));
     cullers
+}
+
+/// What walks any cells, over prisms: none where the scene has no storeys.
+pub fn in_prisms(scene: &Arc<Scene>) -> Vec<Named> {
+    let Ok(prisms) = Prisms::build(scene).map(Arc::new) else { return Vec::new() };
+    let cplp = Arc::new(Cplp::new(prisms.clone()));
+    let query = CplpQueryCuller::new(scene.clone(), cplp.clone(), Budget::default(), QueryKind::ItemBufferTiled);
+    vec![
+        named("cPLP in prisms", CplpCuller::new(scene.clone(), cplp.clone(), Budget::default())),
+        named("cPLP 0 in prisms", CplpCuller::new(scene.clone(), cplp.clone(), Budget { triangles: 0 })),
+        named("item-buffer-tiled in prisms", query.clone()),
+        named("item-buffer-tiled in prisms, batched", query.with_occupancy(Occupancy::Batched)),
+        named("front to back in prisms", QueryFrontToBack::new(scene.clone(), prisms.clone())),
+        named("masks instead of prisms", MaskedCplp::new(scene.clone(), prisms)),
+    ]
 }
 
 /// Walks against coverage masks with all, the default, and no occluders.
