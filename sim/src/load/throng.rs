@@ -53,7 +53,7 @@ pub struct ThrongRules {
     pub end: usize,
     /// Time between frames.
     pub period: Duration,
-    /// When the first frame of the first member is due; the others' are spread evenly over a period.
+    /// When the first period begins; members' frames lie in it as [`super::phase_of`] says.
     pub begin: LocalTime,
     /// Changes of each kind a second.
     pub churn: f64,
@@ -341,7 +341,7 @@ impl Throng {
         if is_own && heard == Heard::Welcome && !std::mem::replace(&mut member.is_in, true) {
             let passed = self.clock.now();
             // Frames of different clients are spread evenly, so that none waits for another.
-            let share = (self.rules.first + number) as f64 / self.rules.end.max(1) as f64;
+            let share = super::phase_of(self.rules.first + number);
             let mut due = self.rules.begin + self.rules.period.mul_f64(share);
             let late = passed.since(due).as_secs_f64() / self.rules.period.as_secs_f64();
             due = due + self.rules.period.mul_f64(late.ceil());

@@ -17,6 +17,7 @@ use eyeline_client::tracking::{Sabotage, TrackerConfig};
 use eyeline_protocol::Welcome;
 use eyeline_server::app::shutdown_signal;
 use eyeline_server::spec::AvatarSpec;
+use eyeline_sim::load::phase_of;
 use eyeline_sim::load::process::pin_to;
 use eyeline_sim::load::throng::{Outcome, Recruit, Throng, ThrongRules};
 use eyeline_sim::load::ways::{Replayer, WayRules, Ways};
@@ -242,7 +243,7 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
     // Who culls has a connection like any client's, and so has the first, who has one already. Each plays from the moment
     // when it is in: who waited for the last would not read what it is told of those who join.
     let mut play = |number: usize, mut connection: Connection| {
-        let phase = begin + period.mul_f64(number as f64 / f64::from(options.clients));
+        let phase = begin + period.mul_f64(phase_of(number));
         let mut stopped = stopped.clone();
         let (ground, seed, side) = (ground.clone(), options.seed, options.side);
         let mut player: Box<dyn Driver> = match &ways {
