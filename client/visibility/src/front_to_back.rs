@@ -177,7 +177,8 @@ pub(crate) fn nearest_corner(aabb: &Aabb, eye: DVec3) -> f64 {
 
 /// Sorts cells by a distance; what is equally far stays as it was.
 pub(crate) fn nearest_corner_first(cells: &mut [CellId], distance: impl Fn(CellId) -> f64) {
-    cells.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+    // Bits of floats that are not negative are in the order of their values.
+    cells.sort_by_cached_key(|&cell| distance(cell).to_bits());
 }
 
 /// The visible set of a culler that draws cells one after the other.
