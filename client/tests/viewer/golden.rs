@@ -2,7 +2,7 @@
 //!
 //! Tolerance: at most 0.5 % of the pixels may differ by more than 12 of 255 in a channel. Edges, filtered textures and the last bit
 //! of light differ between versions of a software adapter and between SIMD widths; a wrong triangle, light or texture is more. With
-//! `EYELINE_BLESS=1` the pictures are written anew: look at them before they are kept.
+//! `BLESS_GOLDENS=1` the pictures are written anew: look at them before they are kept.
 
 use std::path::PathBuf;
 
@@ -33,7 +33,7 @@ pub fn differing_share(a: &RgbaImage, b: &RgbaImage) -> f64 {
 #[track_caller]
 pub fn check(name: &str, picture: &RgbaImage) {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(format!("{name}.png"));
-    if std::env::var_os("EYELINE_BLESS").is_some_and(|value| value == "1") {
+    if std::env::var_os("BLESS_GOLDENS").is_some_and(|value| value == "1") {
         picture.save(&path).unwrap();
     }
     let golden = image::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())).into_rgba8();

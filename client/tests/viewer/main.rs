@@ -1,5 +1,5 @@
 //! What the viewer draws, on the adapter that is there: without one these tests say `skipped: NAME: reason` and pass, unless
-//! `EYELINE_REQUIRE_GPU=1` (as in `.ci/run`), when they fail.
+//! `REQUIRE_GPU=1` (as in `.ci/run`), when they fail.
 
 mod golden;
 mod made;
@@ -18,7 +18,7 @@ fn gpu_or_skip(test: &str) -> Option<Gpu> {
     match Gpu::offscreen(AdapterChoice::Software) {
         Ok(gpu) => Some(gpu),
         Err(error) => {
-            let is_required = std::env::var_os("EYELINE_REQUIRE_GPU").is_some_and(|value| value == "1");
+            let is_required = std::env::var_os("REQUIRE_GPU").is_some_and(|value| value == "1");
             assert!(!is_required, "{test} needs an adapter: {error}");
             skip(test, &error.to_string());
             None

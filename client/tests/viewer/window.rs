@@ -67,7 +67,7 @@ impl Session {
         gpu_or_skip(test)?;
         for program in ["Xvfb", "xdotool"] {
             if !exists(program) {
-                let is_required = std::env::var_os("EYELINE_REQUIRE_GPU").is_some_and(|value| value == "1");
+                let is_required = std::env::var_os("REQUIRE_GPU").is_some_and(|value| value == "1");
                 assert!(!is_required, "{test} needs {program}");
                 skip(test, &format!("{program} is not installed"));
                 return None;
