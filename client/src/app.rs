@@ -111,6 +111,7 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let shutdown = shutdown_signal()?;
+        options.target.require();
         let (endpoint, address) = options.target.endpoint()?;
         let config = SessionConfig::default()
             .with_name(options.name.clone())

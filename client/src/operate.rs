@@ -81,6 +81,7 @@ impl Order {
 pub fn operate(options: &Operate) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
+        options.target.require();
         let (endpoint, address) = options.target.endpoint()?;
         // Somebody who only looks: an operator at work has no avatar.
         let config =

@@ -76,6 +76,15 @@ impl Target {
         self.connect.is_some() || self.server_file.is_some()
     }
 
+    /// For a command that is nothing without a server: ends the process as every wrong use of options does, with 2, if none is
+    /// named.
+    pub fn require(&self) {
+        if !self.is_given() {
+            let missing = "the following required arguments were not provided:\n  --connect <HOST:PORT> or --server-file <FILE>\n";
+            clap::Error::raw(clap::error::ErrorKind::MissingRequiredArgument, missing).exit();
+        }
+    }
+
     /// The server's address and how it is trusted; waits for the server's file.
     ///
     /// # Errors

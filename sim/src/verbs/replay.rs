@@ -56,6 +56,7 @@ pub const EXAMPLES: &str = "Examples:
 
 /// Replays a crowd.
 pub fn run(options: &Replay) -> anyhow::Result<()> {
+    options.target.require();
     let trace = Trace::read(&options.trace)?;
     let people = trace.people_at_once();
     let avatars = u16::try_from(people).ok().filter(|_| people <= AVATARS_MAX);

@@ -179,6 +179,7 @@ fn columns() -> Vec<Column> {
 
 /// Runs a swarm.
 pub fn run(options: &Swarm) -> anyhow::Result<()> {
+    options.target.require();
     if let Some(core) = options.core {
         pin_to(core)?;
     }
