@@ -138,11 +138,6 @@ impl World {
             if id > ObjectId::MAX {
                 return Err(WorldError::TooManyObjects { objects: spec.objects.len() });
             }
-            // What follows a path is on it from the first moment.
-            let position = match &path {
-                Some(path) => Position::from_metres(path.pose_at(now.seconds()).0 - anchor).map_err(out_of_range)?,
-                None => position,
-            };
             let mut object = Object::new(entry.name.clone(), ClassId(class as u16), position, now);
             if let Some(path) = &path {
                 // Where it would leave the world it could not be told of, and would seem to stand.

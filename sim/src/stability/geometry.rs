@@ -181,7 +181,7 @@ fn candidates(scene: &Arc<Scene>) -> Vec<(Setting, Box<dyn Candidate>, bool)> {
 
 /// What all cullers lose over all views.
 fn ask_all(scene: &Arc<Scene>, views: &[View]) -> Finding {
-    let mut candidates = candidates(scene);
+    let (mut candidates, rays) = (candidates(scene), RayScene::new(scene));
     let (mut lost, mut wrong, mut shown) = (0, 0, 0);
     let mut first = String::new();
     for view in views {
@@ -192,7 +192,7 @@ fn ask_all(scene: &Arc<Scene>, views: &[View]) -> Finding {
             let is_own_kind = !*by_rays;
             let visible = candidate.cull(view, EyeRegion::point(view.eye)).visible;
             let missing = exact.iter().filter(|id| visible.binary_search(id).is_err());
-            let missing = missing.filter(|&&id| is_own_kind || shows_to_rays(scene, view, id, &items)).count();
+            let missing = missing.filter(|&&id| is_own_kind || shows_to_rays(&rays, view, id, &items)).count();
             if missing > 0 && first.is_empty() {
                 first = format!("; first {} from {}", setting.label(), view.eye);
             }
@@ -207,10 +207,9 @@ fn ask_all(scene: &Arc<Scene>, views: &[View]) -> Finding {
 }
 
 /// Whether a ray through the middle of a pixel that shows a primitive meets it first.
-fn shows_to_rays(scene: &Scene, view: &View, id: u32, items: &eyeline_visibility::ItemBuffer) -> bool {
-    let rays = RayScene::new(scene);
+fn shows_to_rays(rays: &RayScene, view: &View, id: u32, items: &eyeline_visibility::ItemBuffer) -> bool {
     let Resolution { width, height } = view.resolution;
-    let shows = |x, y| items.id_at(x, y) == Some(id) && meets(&rays, view, x, y, 0.0) == Some(id);
+    let shows = |x, y| items.id_at(x, y) == Some(id) && meets(rays, view, x, y, 0.0) == Some(id);
     (0..height).any(|y| (0..width).any(|x| shows(x, y)))
 }
 
@@ -241,7 +240,7 @@ fn regions() -> Vec<Case> {
 }
 
 fn from_a_ball(scene: &Arc<Scene>, region: EyeRegion) -> Finding {
-    let mut candidates = candidates(scene);
+    let (mut candidates, rays) = (candidates(scene), RayScene::new(scene));
     let mut chance = Pcg64::seed_from_u64(11);
     let mut lost = 0;
     for turn in 0..4 {
@@ -257,7 +256,7 @@ fn from_a_ball(scene: &Arc<Scene>, region: EyeRegion) -> Finding {
             let (exact, items) = exact_set(scene, &view);
             for (answer, (_, _, by_rays)) in answers.iter().zip(&candidates) {
                 let missing = exact.iter().filter(|id| answer.binary_search(id).is_err());
-                lost += missing.filter(|&&id| !by_rays || shows_to_rays(scene, &view, id, &items)).count();
+                lost += missing.filter(|&&id| !by_rays || shows_to_rays(&rays, &view, id, &items)).count();
             }
         }
     }
