@@ -27,6 +27,10 @@ impl Observer for Checks<'_> {
         self.heard.framed(frame);
     }
 
+    fn sent(&mut self, message: &Passing<'_>) {
+        self.heard.sent(message);
+    }
+
     fn arrives(&mut self, message: &Passing<'_>) {
         self.truth.arrives(message);
         self.heard.arrives(message);

@@ -6,6 +6,8 @@
 //! **Entitled** is who could see the object from some eye of the lead region. A pose that was told without that counts as
 //! over-disclosure, and is allowed if the client had asked: its bound had come into view, and nothing else can tell
 //! it that the object had not. From then on the room grows again. A pose that nobody asked for leaves none.
+//! Room grows from when a pose is *sent* to who may have it: whether it arrives is chance, and promised is room since
+//! somebody was last entitled. Who never gets it knows less than the server must suppose.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -80,6 +82,23 @@ struct Knowledge {
     is_settled: bool,
 }
 
+/// A message that nobody has looked into.
+struct Unread {
+    client: usize,
+    step: Step,
+    bytes: Vec<u8>,
+    at: WorldTime,
+}
+
+/// What has become of a message.
+#[derive(Clone, Copy)]
+enum Step {
+    /// A datagram that the server has sent.
+    Sent,
+    /// It is there.
+    Arrived(Direction, Kind),
+}
+
 #[derive(Default)]
 struct Client {
     knows: BTreeMap<ObjectId, Knowledge>,
@@ -95,8 +114,8 @@ pub struct Heard {
     share: f64,
     beings: Vec<Being>,
     clients: BTreeMap<usize, Client>,
-    /// What has arrived and was not read: to whom, which way, how, what and when.
-    unread: Vec<(usize, Direction, Kind, Vec<u8>, WorldTime)>,
+    /// What has been sent or has arrived and was not read.
+    unread: Vec<Unread>,
     /// How much later than its tick a state was committed at most.
     lateness: Duration,
     tick: Duration,
@@ -190,24 +209,31 @@ impl Heard {
         }
     }
 
+    /// Keeps a message until the world has been looked at.
+    fn keep(&mut self, message: &Passing<'_>, step: Step) {
+        if self.clients.contains_key(&message.client) {
+            self.unread.push(Unread { client: message.client, step, bytes: message.bytes.to_vec(), at: message.at });
+        }
+    }
+
     /// Reads what has arrived since the world was looked at last: only now is it known who has come since.
     fn read(&mut self) {
         let mut unread = std::mem::take(&mut self.unread);
-        for (client, direction, kind, bytes, at) in unread.drain(..) {
-            let message = &Passing { client, direction, kind, bytes: &bytes, at };
-            match (direction, kind) {
-                (Direction::Up, Kind::Datagram) => self.hear_up(message),
-                (Direction::Down, Kind::Datagram) => self.hear_datagram(message),
-                (Direction::Down, Kind::Control) => self.hear_control(message),
-                (Direction::Up, Kind::Control) => {}
+        for Unread { client, step, bytes, at } in unread.drain(..) {
+            match step {
+                Step::Sent => self.note_sent(client, &bytes),
+                Step::Arrived(Direction::Up, Kind::Datagram) => self.hear_up(client, &bytes, at),
+                Step::Arrived(Direction::Down, Kind::Datagram) => self.hear_datagram(client, &bytes, at),
+                Step::Arrived(Direction::Down, Kind::Control) => self.hear_control(client, &bytes, at),
+                Step::Arrived(Direction::Up, Kind::Control) => {}
             }
         }
         self.unread = unread;
     }
 
-    fn hear_up(&mut self, message: &Passing<'_>) {
-        let Some(client) = self.clients.get_mut(&message.client) else { return };
-        let Ok((header, records)) = codec::decode_client_datagram(message.bytes) else { return };
+    fn hear_up(&mut self, number: usize, bytes: &[u8], at: WorldTime) {
+        let Some(client) = self.clients.get_mut(&number) else { return };
+        let Ok((header, records)) = codec::decode_client_datagram(bytes) else { return };
         for record in records {
             let (object, want) = match record {
                 ClientRecord::Request { object, want, .. } => (object, Some(want)),
@@ -215,19 +241,41 @@ impl Heard {
                 ClientRecord::Pose { .. } | ClientRecord::Eye { .. } | ClientRecord::ViolationAck { .. } => continue,
             };
             let said = &mut client.knows.entry(object).or_default().said;
-            said.push_back(Said { at: message.at, seq: header.link.seq, want });
+            said.push_back(Said { at, seq: header.link.seq, want });
             if said.len() > SAID_MAX {
                 said.pop_front();
             }
         }
     }
 
-    fn hear_datagram(&mut self, message: &Passing<'_>) {
-        let Ok((header, records)) = codec::decode_server_datagram(message.bytes) else { return };
-        let at = message.at;
-        let (number, limit) = (message.client, self.secrecy.datagram_limit);
-        if message.bytes.len() > limit {
-            let bytes = message.bytes.len();
+    /// Who is sent a pose that it may have is as one that can see the object.
+    fn note_sent(&mut self, number: usize, bytes: &[u8]) {
+        let Ok((header, records)) = codec::decode_server_datagram(bytes) else { return };
+        for record in records {
+            if let ServerRecord::State { object, position, .. } = record
+                && self.may_have(number, object, position, &header).is_some()
+                && let Some(knowledge) = self.clients.get_mut(&number).and_then(|client| client.knows.get_mut(&object))
+            {
+                knowledge.grows_from = knowledge.grows_from.max(Some(header.tick));
+            }
+        }
+    }
+
+    /// Whether a client may have this pose: `Some(true)` if it is entitled, `Some(false)` if it only asked.
+    fn may_have(&mut self, number: usize, id: ObjectId, position: Position, header: &ServerHeader) -> Option<bool> {
+        let being = self.beings.get(id.index()).filter(|being| header.tick >= being.void_before)?;
+        let client = self.clients.get_mut(&number)?;
+        let radius = being.extent + ENTITLED_MORE;
+        let is_entitled = is_entitled(&self.walls, &client.eyes, position.metres(), radius);
+        let is_asked = client.knows.entry(id).or_default().is_asked(header.sent, self.tick);
+        (is_entitled || is_asked).then_some(is_entitled)
+    }
+
+    fn hear_datagram(&mut self, number: usize, bytes: &[u8], at: WorldTime) {
+        let Ok((header, records)) = codec::decode_server_datagram(bytes) else { return };
+        let limit = self.secrecy.datagram_limit;
+        if bytes.len() > limit {
+            let bytes = bytes.len();
             self.failures.note(number, at, || format!("a datagram of {bytes} bytes is more than {limit}"));
         }
         let age = header.sent.since(header.tick);
@@ -259,18 +307,15 @@ impl Heard {
             let (place, truly, tick) = (position.metres(), truly.metres(), header.tick.micros());
             self.failures.note(number, at, || format!("{id}: told to be at {place} at {tick} µs, and was at {truly}"));
         }
-        let Some(client) = self.clients.get_mut(&number) else { return };
-        let radius = being.extent + ENTITLED_MORE;
-        let is_entitled = is_entitled(&self.walls, &client.eyes, position.metres(), radius);
-        let knowledge = client.knows.entry(id).or_default();
-        let is_asked = knowledge.is_asked(header.sent, self.tick);
-        if is_entitled || is_asked {
-            knowledge.grows_from = knowledge.grows_from.max(Some(header.tick));
-            self.counts.over_disclosed += u64::from(!is_entitled);
-        } else {
-            knowledge.unasked = knowledge.unasked.max(Some(header.tick));
-        }
         let disc = Disc::of_pose(plan(position.metres()), header.tick, being.motion);
+        let may_have = self.may_have(number, id, position, header);
+        self.counts.over_disclosed += u64::from(may_have == Some(false));
+        let Some(client) = self.clients.get_mut(&number) else { return };
+        let knowledge = client.knows.entry(id).or_default();
+        match may_have {
+            Some(_) => knowledge.grows_from = knowledge.grows_from.max(Some(header.tick)),
+            None => knowledge.unasked = knowledge.unasked.max(Some(header.tick)),
+        }
         self.told(number, id, disc, at);
     }
 
@@ -303,14 +348,14 @@ impl Heard {
         is_true
     }
 
-    fn hear_control(&mut self, message: &Passing<'_>) {
-        let Ok(ServerControl::Roster { tick, entries }) = codec::decode_server_control(message.bytes) else { return };
+    fn hear_control(&mut self, number: usize, bytes: &[u8], at: WorldTime) {
+        let Ok(ServerControl::Roster { tick, entries }) = codec::decode_server_control(bytes) else { return };
         for entry in entries {
             // Of who has just come nothing else is known yet, not even to the checker.
             if let Some(bound) = entry.bound
                 && self.beings.get(entry.object.index()).is_some_and(|being| being.issue == entry.issue)
             {
-                self.told(message.client, entry.object, Disc::of_bound(&bound.tbv(tick)), message.at);
+                self.told(number, entry.object, Disc::of_bound(&bound.tbv(tick)), at);
             }
         }
     }
@@ -413,9 +458,11 @@ impl Observer for Heard {
         }
     }
 
+    fn sent(&mut self, message: &Passing<'_>) {
+        self.keep(message, Step::Sent);
+    }
+
     fn arrives(&mut self, message: &Passing<'_>) {
-        if self.clients.contains_key(&message.client) {
-            self.unread.push((message.client, message.direction, message.kind, message.bytes.to_vec(), message.at));
-        }
+        self.keep(message, Step::Arrived(message.direction, message.kind));
     }
 }

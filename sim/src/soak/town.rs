@@ -7,7 +7,7 @@ use eyeline_client::session::SessionConfig;
 use eyeline_client::tracking::{Growth, Lead, Sabotage, TrackerConfig};
 use eyeline_protocol::{Role, WorldInfo, WorldTime};
 use eyeline_server::policy::{Broadcast, Policy, Visible};
-use eyeline_server::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, WorldSpec};
+use eyeline_server::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, SpringSpec, WorldSpec};
 use eyeline_server::world::{World, WorldConfig};
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
@@ -266,7 +266,12 @@ fn spec(walls: &Walls, chance: &mut Pcg64, carts: usize) -> WorldSpec {
                 wobble: if chance.random_bool(0.3) { 0.1 } else { 0.0 },
                 wobble_per_metre: 1.0,
                 points,
-                spring: None,
+                // Every third hangs on its path by a spring: stiff, soft, swinging or slow.
+                spring: (i % 3 == 2).then(|| SpringSpec {
+                    time_constant: [1e-6, 0.05, 0.5, 30.0][i / 3 % 4],
+                    damping: [1.0, 0.1, 0.0, 4.0][i / 3 % 4],
+                    wall: None,
+                }),
             };
             if path.wobble > 0.0 {
                 // With its swing it must keep within its class's speed.

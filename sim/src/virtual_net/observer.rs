@@ -20,7 +20,7 @@ pub struct Passing<'a> {
     pub kind: Kind,
     /// A datagram, or a control message without its length prefix.
     pub bytes: &'a [u8],
-    /// True world time: of sending for an interceptor, of arrival or loss for an observer.
+    /// True world time: of sending, arrival or loss, whichever is told of.
     pub at: WorldTime,
 }
 
@@ -91,6 +91,11 @@ pub trait Observer {
     /// A client has made a frame.
     fn framed(&mut self, frame: &Framed<'_>) {
         let _ = frame;
+    }
+
+    /// The server hands a datagram to the transport; nobody knows yet whether it will arrive.
+    fn sent(&mut self, message: &Passing<'_>) {
+        let _ = message;
     }
 
     /// A message arrives; its receiver has not seen it yet.

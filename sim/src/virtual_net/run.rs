@@ -211,7 +211,7 @@ impl VirtualRun {
             Event::Wake { client, direction } => self.transport.handle_wake(client, direction, self.now),
             Event::Over { client, direction, reason } => self.over(client, direction, reason),
         }
-        self.drain_world();
+        self.drain_world(observer);
         self.pump(observer);
     }
 
@@ -324,7 +324,7 @@ impl VirtualRun {
     /// Does something to the world, and sends what comes of it.
     pub fn with_world<R>(&mut self, observer: &mut dyn Observer, act: impl FnOnce(&mut World, WorldTime) -> R) -> R {
         let result = act(&mut self.world, self.now);
-        self.drain_world();
+        self.drain_world(observer);
         self.pump(observer);
         result
     }

@@ -38,7 +38,7 @@ impl VirtualRun {
         }
     }
 
-    pub(super) fn drain_world(&mut self) {
+    pub(super) fn drain_world(&mut self, observer: &mut dyn Observer) {
         // As the server's shell does.
         let tick = self.world.tick_period();
         loop {
@@ -52,7 +52,11 @@ impl VirtualRun {
             let Some(client) = self.client_of(id) else { continue };
             match transmit {
                 Transmit::Control(bytes) => self.transport.send_control(client, Direction::Down, &bytes),
-                Transmit::Datagram(bytes) => self.transport.send_datagram(client, Direction::Down, bytes, self.now),
+                Transmit::Datagram(bytes) => {
+                    let (direction, kind, at) = (Direction::Down, Kind::Datagram, self.now);
+                    observer.sent(&Passing { client, direction, kind, bytes: &bytes, at });
+                    self.transport.send_datagram(client, direction, bytes, at);
+                }
                 // The model is not part of a virtual run: its clients have it.
                 Transmit::WorldBytes => {}
                 Transmit::Close(reason) => self.transport.close(client, Direction::Down, &reason, self.now),
@@ -64,7 +68,7 @@ impl VirtualRun {
     pub(super) fn pump(&mut self, observer: &mut dyn Observer) {
         while let Some(output) = self.transport.poll(self.now) {
             self.perform(output, observer);
-            self.drain_world();
+            self.drain_world(observer);
         }
     }
 
