@@ -108,6 +108,10 @@ impl SessionConfig {
     }
 }
 
+fn micros(micros: u32) -> Duration {
+    Duration::from_micros(u64::from(micros))
+}
+
 fn hello(config: &SessionConfig, resume: Option<Resume>) -> ClientControl {
     ClientControl::Hello {
         version: VERSION,
@@ -328,7 +332,8 @@ impl Session {
                     (self.make_index)(),
                 )
                 .with_dead_reckoning(welcome.dead_reckoning_px)
-                .with_tick(Duration::from_micros(u64::from(welcome.tick_micros)));
+                .with_tick(Duration::from_micros(u64::from(welcome.tick_micros)))
+                .with_answer_wait(micros(welcome.answer_micros));
                 self.tracker = Some(tracker);
                 self.poses = welcome.avatars.iter().map(|&(id, at, turn)| (id, (at, turn))).collect();
                 self.poses_due.clear();
@@ -546,6 +551,8 @@ impl Session {
         // The greatest lately, or where round trips usually end (RFC 6298's four variations) if that is more.
         let greatest = self.link.round_trip_max().unwrap_or_default();
         let round_trip = self.link.round_trip().map(|usual| greatest.max(usual.smoothed + 4 * usual.variation));
+        let answer_wait = self.welcome.as_ref().map_or(Duration::ZERO, |welcome| micros(welcome.answer_micros));
+        let round_trip = round_trip.map(|round_trip| round_trip + answer_wait);
         let mut ahead = tracker.lead.ahead(round_trip, tracker.frame, avatar.motion);
         if self.config.interest == Interest::Frustum {
             // Whose head may turn as fast as it likes looks all round.
@@ -708,7 +715,7 @@ impl Session {
 
     /// After what time without an answer something is said again.
     pub fn retry_after(&self) -> Duration {
-        self.link.timeout()
+        self.link.timeout() + self.welcome.as_ref().map_or(Duration::ZERO, |welcome| micros(welcome.answer_micros))
     }
 
     /// Counters since the start.

@@ -42,6 +42,7 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
     };
     let config = WorldConfig::default()
         .with_tick(Duration::from_secs_f64(1.0 / options.tick_hz))
+        .with_answers(options.answers)
         .with_blur(options.blur)
         .with_grid_seed(grid_seed)
         .with_dead_reckoning_px(options.dead_reckoning)

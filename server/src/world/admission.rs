@@ -317,6 +317,7 @@ impl World {
             avatars: session.avatars.iter().map(place).collect(),
             anchor: self.anchor.to_array(),
             tick_micros: self.config.tick.as_micros() as u32,
+            answer_micros: self.config.answer_wait().as_micros() as u32,
             policy: self.policy.name().to_owned(),
             tracking: self.policy.tracking(),
             blur: self.config.blur,

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::Context as _;
 use clap::Args;
 use eyeline_server::app::number;
+use eyeline_server::world::Answers;
 use eyeline_sim::load::echo::Traffic;
 use eyeline_sim::load::process::load_average;
 use eyeline_sim::report::{Report, Run, rfc3339, table};
@@ -51,6 +52,10 @@ pub struct Load {
     /// Rooms along each side of the world, each with four chairs: 16 make 1,024 objects
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(2..=64))]
     rooms: u32,
+
+    /// When the server answers requests: on arrival, or with the tick
+    #[arg(long, value_name = "WHEN", default_value_t = Answers::default())]
+    answers: Answers,
 
     /// Decides the world and who walks where
     #[arg(long, value_name = "N", default_value_t = 7)]
