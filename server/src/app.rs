@@ -62,6 +62,9 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
     }
     world.set_gate(Box::new(options.gate.gate()?));
     let mut identity = options.certificate()?;
+    for complaint in options.tls.certificate.iter().flat_map(|file| identity.complaints(file, clock.now())) {
+        tracing::warn!("{}", complaint.text);
+    }
     let reloader = identity.reloader();
     let fingerprint = identity.fingerprint_hex();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
