@@ -60,7 +60,9 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         let audit = model.audit(world.classes());
         world.set_audit(audit);
     }
-    world.set_gate(Box::new(options.gate.gate()?));
+    let gate = options.gate.gate()?;
+    let checks = gate.checks();
+    world.set_gate(Box::new(gate));
     let mut identity = options.certificate()?;
     for complaint in options.tls.certificate.iter().flat_map(|file| identity.complaints(file, clock.now())) {
         tracing::warn!("{}", complaint.text);
@@ -73,8 +75,9 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         if let Some(reloader) = reloader {
             tokio::spawn(reloader.run());
         }
-        let server =
-            Server::bind(options.listen, identity, world, bytes, clock, None)?.with_config(shell_config(options));
+        let server = Server::bind(options.listen, identity, world, bytes, clock, None)?
+            .with_config(shell_config(options))
+            .with_token_checks(checks);
         let address = server.local_addr()?;
         let mut text = describe(options, &model, &settings, notes);
         let _ = writeln!(text, "listening    {address} (QUIC over UDP); Ctrl-C ends it");

@@ -456,6 +456,7 @@ impl World {
                 self.spread_violation(ObjectId(index as u32), outcome.entered_or_left);
             }
         }
+        self.heed_gate(now);
         self.end_graces();
         self.announce();
         if let Some(audit) = &mut self.audit {
@@ -728,6 +729,9 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
 
 #[cfg(test)]
 mod audit_tests;
+
+#[cfg(test)]
+mod churn_tests;
 
 #[cfg(test)]
 mod limits_tests;
