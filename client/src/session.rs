@@ -108,6 +108,14 @@ impl SessionConfig {
     }
 }
 
+fn wish(object: ObjectId, is_taken: bool) -> ClientControl {
+    if is_taken { ClientControl::Take { object } } else { ClientControl::LetGo { object } }
+}
+
+fn micros(micros: u32) -> Duration {
+    Duration::from_micros(u64::from(micros))
+}
+
 fn hello(config: &SessionConfig, resume: Option<Resume>) -> ClientControl {
     ClientControl::Hello {
         version: VERSION,
@@ -122,6 +130,9 @@ fn hello(config: &SessionConfig, resume: Option<Resume>) -> ClientControl {
 
 /// Events that nobody polls go once there are more.
 const EVENTS_MAX: usize = 4096;
+
+/// Most messages that are kept while there is no connection.
+const UNSAID_MAX: usize = 1024;
 
 /// No client is silent for longer.
 const SAY_SOMETHING: Duration = Duration::from_millis(500);
@@ -152,6 +163,8 @@ pub enum Event {
     Held(ObjectId, Hold),
     /// Something of the application's, about an object that is in sight, or of the server's own.
     Payload(Option<ObjectId>, Vec<u8>),
+    /// Something that was to be said when the connection was lost, and is not: the server does not remember us.
+    Unsaid(Box<ClientControl>),
     /// Somebody says something to everybody.
     Said(String),
     /// Who is here, for operators; a [`Event::Done`] ends the list.
@@ -174,6 +187,7 @@ impl Event {
             Event::Held(object, hold) => format!("object {} is {hold:?}", object.0),
             Event::Payload(Some(object), bytes) => format!("object {} sends {} bytes", object.0, bytes.len()),
             Event::Payload(None, bytes) => format!("the server sends {} bytes", bytes.len()),
+            Event::Unsaid(message) => format!("not said, since we were forgotten: {message:?}"),
             Event::Said(text) => format!("said: {}", text.escape_debug()),
             Event::Clients(entries) => format!("{} clients are here", entries.len()),
             Event::Done(ok, text) => format!("{}: {}", if *ok { "done" } else { "not done" }, text.escape_debug()),
@@ -246,7 +260,11 @@ pub struct Session {
     said_at: Option<LocalTime>,
     /// A record that did not fit into the last datagram.
     held_back: Option<ClientRecord>,
-    control: VecDeque<Vec<u8>>,
+    control: VecDeque<ClientControl>,
+    /// Things that were asked for, or put down, and no answer came yet; true for asked for.
+    wishes: BTreeMap<ObjectId, bool>,
+    /// What was to be said when the connection was lost: it is said once the server is heard to remember us.
+    unsaid: VecDeque<ClientControl>,
     events: VecDeque<Event>,
     /// Probable server time at the newest frame; never goes back.
     shown: WorldTime,
@@ -279,7 +297,9 @@ impl Session {
             owes_ack: false,
             said_at: None,
             held_back: None,
-            control: VecDeque::from([codec::encode_control(&hello)]),
+            control: VecDeque::from([hello]),
+            wishes: BTreeMap::new(),
+            unsaid: VecDeque::new(),
             events: VecDeque::new(),
             shown: WorldTime::ZERO,
             states_received: Vec::new(),
@@ -319,6 +339,10 @@ impl Session {
                     self.events.push_back(Event::Welcomed(welcome));
                     return;
                 }
+                // Ids may mean others by now: what was to be said about them is for the application to say again.
+                self.wishes.clear();
+                let unsaid = std::mem::take(&mut self.unsaid);
+                self.events.extend(unsaid.into_iter().map(|message| Event::Unsaid(Box::new(message))));
                 (self.heard, self.moving_nodes) = (0, BTreeSet::new());
                 let tracker = Tracker::new(
                     self.config.tracker.clone(),
@@ -328,7 +352,8 @@ impl Session {
                     (self.make_index)(),
                 )
                 .with_dead_reckoning(welcome.dead_reckoning_px)
-                .with_tick(Duration::from_micros(u64::from(welcome.tick_micros)));
+                .with_tick(Duration::from_micros(u64::from(welcome.tick_micros)))
+                .with_answer_wait(micros(welcome.answer_micros));
                 self.tracker = Some(tracker);
                 self.poses = welcome.avatars.iter().map(|&(id, at, turn)| (id, (at, turn))).collect();
                 self.poses_due.clear();
@@ -371,6 +396,7 @@ impl Session {
                 }
             }
             Ok(ServerControl::Held { object, hold }) => {
+                self.wishes.remove(&object);
                 if hold == Hold::Yours {
                     // Not said before it is set: where it is now the server knows.
                     let shown = self.tracker.as_ref().and_then(|tracker| tracker.shown(object));
@@ -405,7 +431,23 @@ impl Session {
         self.probes_from = 0;
         self.held_back = None;
         self.said_at = None;
-        self.control = VecDeque::from([codec::encode_control(&hello(&self.config, resume))]);
+        // A wish whose answer did not come may not have been heard; to say it twice does no harm. What of the rest had left may
+        // have been heard, too, and is not said again.
+        let mut unsaid = std::mem::take(&mut self.unsaid);
+        let is_for_later = |message: &ClientControl| {
+            !matches!(message, ClientControl::Hello { .. } | ClientControl::Goodbye | ClientControl::WorldWanted)
+        };
+        unsaid.extend(self.control.drain(..).filter(is_for_later));
+        for (&object, &is_taken) in &self.wishes {
+            let is_about = |message: &ClientControl| matches!(*message, ClientControl::Take { object: of } | ClientControl::LetGo { object: of } if of == object);
+            if !unsaid.iter().any(is_about) {
+                unsaid.push_front(wish(object, is_taken));
+            }
+        }
+        let excess = unsaid.len().saturating_sub(UNSAID_MAX);
+        self.events.extend(unsaid.drain(..excess).map(|message| Event::Unsaid(Box::new(message))));
+        self.unsaid = unsaid;
+        self.control = VecDeque::from([hello(&self.config, resume)]);
     }
 
     /// Whether hello was said and the welcome has not come.
@@ -415,12 +457,14 @@ impl Session {
 
     /// Wants to move a thing that is near and in sight; [`Event::Held`] answers. Once it is ours, [`Session::set_pose`] moves it.
     pub fn take(&mut self, object: ObjectId) {
-        self.control.push_back(codec::encode_control(&ClientControl::Take { object }));
+        self.wishes.insert(object, true);
+        self.control.push_back(wish(object, true));
     }
 
     /// Puts a thing down.
     pub fn let_go(&mut self, object: ObjectId) {
-        self.control.push_back(codec::encode_control(&ClientControl::LetGo { object }));
+        self.wishes.insert(object, false);
+        self.control.push_back(wish(object, false));
     }
 
     /// Things that are ours to move, ascending.
@@ -432,12 +476,12 @@ impl Session {
     /// [`PAYLOAD_BYTES_MAX`] bytes are cut off.
     pub fn send_payload(&mut self, object: ObjectId, mut bytes: Vec<u8>) {
         bytes.truncate(PAYLOAD_BYTES_MAX);
-        self.control.push_back(codec::encode_control(&ClientControl::Payload { object, bytes }));
+        self.control.push_back(ClientControl::Payload { object, bytes });
     }
 
     /// Keeps order, as an operator may; [`Event::Done`] answers.
     pub fn command(&mut self, command: Command) {
-        self.control.push_back(codec::encode_control(&ClientControl::Command(command)));
+        self.control.push_back(ClientControl::Command(command));
     }
 
     /// Looks from here rather than from our avatar's eye: relative to the anchor, and within 2 m of it for who may not fly.
@@ -475,6 +519,10 @@ impl Session {
             return;
         }
         self.owes_ack = true;
+        // A thing can be taken only by who is told of it: by now we are again.
+        if !self.returns {
+            self.control.extend(self.unsaid.drain(..));
+        }
         self.watch.hear(header.tick);
         if sent_at.is_some() && header.link.ack < self.probes_from {
             self.clock.observe_stamp(header.sent, now);
@@ -520,7 +568,7 @@ impl Session {
 
     /// Teleports one of our avatars, or takes it into or out of the world.
     pub fn place(&mut self, object: ObjectId, position: Position, present: bool) {
-        self.control.push_back(codec::encode_control(&ClientControl::Place { object, position, present }));
+        self.control.push_back(ClientControl::Place { object, position, present });
         if let Some(pose) = self.poses.get_mut(&object) {
             pose.0 = position;
         }
@@ -528,12 +576,12 @@ impl Session {
 
     /// Asks for the model's bytes.
     pub fn want_world(&mut self) {
-        self.control.push_back(codec::encode_control(&ClientControl::WorldWanted));
+        self.control.push_back(ClientControl::WorldWanted);
     }
 
     /// Says goodbye.
     pub fn leave(&mut self) {
-        self.control.push_back(codec::encode_control(&ClientControl::Goodbye));
+        self.control.push_back(ClientControl::Goodbye);
     }
 
     /// What the next frame must look ahead for: cull from every eye within its radius, then hand both to [`Session::frame`].
@@ -546,6 +594,8 @@ impl Session {
         // The greatest lately, or where round trips usually end (RFC 6298's four variations) if that is more.
         let greatest = self.link.round_trip_max().unwrap_or_default();
         let round_trip = self.link.round_trip().map(|usual| greatest.max(usual.smoothed + 4 * usual.variation));
+        let answer_wait = self.welcome.as_ref().map_or(Duration::ZERO, |welcome| micros(welcome.answer_micros));
+        let round_trip = round_trip.map(|round_trip| round_trip + answer_wait);
         let mut ahead = tracker.lead.ahead(round_trip, tracker.frame, avatar.motion);
         if self.config.interest == Interest::Frustum {
             // Whose head may turn as fast as it likes looks all round.
@@ -576,7 +626,7 @@ impl Session {
 
     /// The next bytes for the control stream, prefix included.
     pub fn poll_control(&mut self) -> Option<Vec<u8>> {
-        self.control.pop_front()
+        self.control.pop_front().map(|message| codec::encode_control(&message))
     }
 
     /// The next datagram of at most `limit` bytes, but only if there is a record that should not wait for the next frame:
@@ -708,7 +758,7 @@ impl Session {
 
     /// After what time without an answer something is said again.
     pub fn retry_after(&self) -> Duration {
-        self.link.timeout()
+        self.link.timeout() + self.welcome.as_ref().map_or(Duration::ZERO, |welcome| micros(welcome.answer_micros))
     }
 
     /// Counters since the start.

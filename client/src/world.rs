@@ -81,6 +81,7 @@ mod tests {
             objects,
             rank: eyeline_protocol::Rank::Actor,
             resume: [0; 16],
+            answer_micros: 0,
             grace_millis: 0,
             continuity: eyeline_protocol::Continuity::New,
         }

@@ -76,7 +76,7 @@ pub use tbv::Tbv;
 pub use time::{LocalTime, WorldTime};
 
 /// Version of everything in this crate. Peers with different versions part at hello.
-pub const VERSION: u16 = 3;
+pub const VERSION: u16 = 4;
 
 /// How far an actor's eye may be from its avatar's, metres.
 pub const EYE_REACH: f64 = 2.0;

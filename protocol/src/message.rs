@@ -183,6 +183,8 @@ pub struct Welcome {
     pub anchor: [f64; 3],
     /// World time between ticks, microseconds.
     pub tick_micros: u32,
+    /// How long an answer waits at the server at most, microseconds: a lead has to cover it. 0 if requests are answered on arrival.
+    pub answer_micros: u32,
     /// The interest policy's name.
     #[serde(deserialize_with = "untrusted::string")]
     pub policy: String,

@@ -42,6 +42,7 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
     };
     let config = WorldConfig::default()
         .with_tick(Duration::from_secs_f64(1.0 / options.tick_hz))
+        .with_answers(options.answers)
         .with_blur(options.blur)
         .with_grid_seed(grid_seed)
         .with_dead_reckoning_px(options.dead_reckoning)
@@ -59,8 +60,13 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         let audit = model.audit(world.classes());
         world.set_audit(audit);
     }
-    world.set_gate(Box::new(options.gate.gate()?));
+    let gate = options.gate.gate()?;
+    let checks = gate.checks();
+    world.set_gate(Box::new(gate));
     let mut identity = options.certificate()?;
+    for complaint in options.tls.certificate.iter().flat_map(|file| identity.complaints(file, clock.now())) {
+        tracing::warn!("{}", complaint.text);
+    }
     let reloader = identity.reloader();
     let fingerprint = identity.fingerprint_hex();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -69,8 +75,9 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         if let Some(reloader) = reloader {
             tokio::spawn(reloader.run());
         }
-        let server =
-            Server::bind(options.listen, identity, world, bytes, clock, None)?.with_config(shell_config(options));
+        let server = Server::bind(options.listen, identity, world, bytes, clock, None)?
+            .with_config(shell_config(options))
+            .with_token_checks(checks);
         let address = server.local_addr()?;
         let mut text = describe(options, &model, &settings, notes);
         let _ = writeln!(text, "listening    {address} (QUIC over UDP); Ctrl-C ends it");

@@ -30,6 +30,26 @@ pub struct Permit {
     pub avatars_max: u16,
     /// Whom the token was issued to; empty for the anonymous.
     pub subject: String,
+    /// Which token that was, if there was one.
+    pub token: Option<TokenMark>,
+}
+
+impl Permit {
+    /// Whether it lets the same somebody do the same, by whatever token.
+    pub fn is_like(&self, other: &Permit) -> bool {
+        (self.rank, self.avatars_max, &self.subject) == (other.rank, other.avatars_max, &other.subject)
+    }
+}
+
+/// What tells a token from others, so that it can be told later whether it still holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TokenMark {
+    /// Its own name.
+    pub id: String,
+    /// From when it is good.
+    pub issued: WorldTime,
+    /// Which of the gate's keys has signed it.
+    pub key: usize,
 }
 
 /// Why somebody is not let in.
@@ -51,6 +71,16 @@ pub trait Gate: Send {
 
     /// Nobody of this name, or without one from this address, is let in before `until`.
     fn ban(&mut self, subject: &str, caller: Caller, until: WorldTime);
+
+    /// Looks whether there is news of who may be here. Asked at each tick, so it looks no more often than it has to.
+    fn look(&mut self, _now: WorldTime) -> bool {
+        false
+    }
+
+    /// Why somebody who was let in so may stay no longer; asked of each after news. The reason is theirs to read.
+    fn dismisses(&self, _permit: &Permit, _caller: Caller, _now: WorldTime) -> Option<Denial> {
+        None
+    }
 }
 
 /// Lets everybody in, whatever they come with, with any number of avatars: for simulations and tests. Knows no bans.
@@ -69,7 +99,7 @@ impl Default for OpenGate {
 
 impl Gate for OpenGate {
     fn admit(&mut self, _: &[u8], _: Caller, _: WorldTime) -> Result<Permit, Denial> {
-        Ok(Permit { rank: self.rank, avatars_max: u16::MAX, subject: String::new() })
+        Ok(Permit { rank: self.rank, avatars_max: u16::MAX, subject: String::new(), token: None })
     }
 
     fn ban(&mut self, _: &str, _: Caller, _: WorldTime) {}

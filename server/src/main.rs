@@ -127,7 +127,13 @@ fn check_settings(check: &Check) -> anyhow::Result<()> {
         None => check.server.clone(),
     };
     let problems = match flags.load(&[]) {
-        Ok(loaded) => eyeline_server::config::check::problems(&loaded),
+        Ok(loaded) => {
+            let now = app::unix_time();
+            for warning in eyeline_server::config::check::warnings(&loaded, now) {
+                say(&format!("warning: {warning}\n"));
+            }
+            eyeline_server::config::check::problems(&loaded, now)
+        }
         Err(error) => error.problems,
     };
     if problems.is_empty() {

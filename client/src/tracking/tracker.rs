@@ -145,6 +145,8 @@ pub struct Tracker {
     is_cut_off: bool,
     /// Time between the server's ticks.
     tick: Duration,
+    /// How long the server lets an answer wait at most.
+    answer_wait: Duration,
     /// Greatest round trip lately, for the decision whether two fit in a frame and for what silence means.
     round_trip: Option<Duration>,
     timeout: Duration,
@@ -183,6 +185,7 @@ impl Tracker {
             ahead: Ahead::default(),
             heard_at: None,
             tick: Duration::ZERO,
+            answer_wait: Duration::ZERO,
             is_cut_off: false,
             round_trip: None,
             timeout: Duration::from_secs(1),
@@ -198,6 +201,11 @@ impl Tracker {
     /// Sets the welcome's time between ticks, before which no change is told.
     pub fn with_tick(self, tick: Duration) -> Tracker {
         Tracker { tick, ..self }
+    }
+
+    /// Sets the welcome's time for which an answer may wait at the server.
+    pub fn with_answer_wait(self, answer_wait: Duration) -> Tracker {
+        Tracker { answer_wait, ..self }
     }
 
     /// Replaces T by an empty `index`, for instance one that knows how large the world is. What was in it is settled anew
@@ -222,7 +230,7 @@ impl Tracker {
     /// A datagram came at `now`. What the path is like: its greatest round trip lately, if known, and when to ask again.
     pub fn handle_path(&mut self, round_trip: Option<Duration>, timeout: Duration, now: LocalTime) {
         self.round_trip = round_trip;
-        self.timeout = timeout;
+        self.timeout = timeout + self.answer_wait;
         self.heard_at = Some(now);
     }
 
@@ -767,14 +775,15 @@ impl Tracker {
     /// bound on lateness holds.
     fn is_staged(&self) -> bool {
         // A quarter of the frame each, since the next may be slower still and the answer needs time at both ends.
-        self.config.staged && self.round_trip.is_some_and(|round_trip| round_trip * 4 < self.config.frame)
+        self.config.staged
+            && self.round_trip.is_some_and(|round_trip| (round_trip + self.answer_wait) * 4 < self.config.frame)
     }
 
     /// Whether to ask for a bound first of an object that has been found hidden before: the lead may have time for both
     /// round trips, too. For who has just come there was no lead.
     fn is_staged_for(&self, entry: &Entry) -> bool {
         let was_hidden = matches!(entry.decision.0, Decision::Hidden { .. } | Decision::HiddenForNow);
-        let fits = |round_trip: Duration| round_trip * 2 + self.config.frame <= self.ahead.time;
+        let fits = |round_trip: Duration| (round_trip + self.answer_wait) * 2 + self.config.frame <= self.ahead.time;
         self.is_staged() || self.config.staged && was_hidden && self.round_trip.is_some_and(fits)
     }
 

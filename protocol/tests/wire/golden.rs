@@ -132,6 +132,7 @@ fn whatever_is_legal_fits() {
             avatars: vec![(ObjectId::MAX, Position::default(), Orientation::default()); avatars],
             anchor: [1e6; 3],
             tick_micros: u32::MAX,
+            answer_micros: u32::MAX,
             policy: name.clone(),
             tracking: true,
             blur: 1e3,

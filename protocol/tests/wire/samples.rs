@@ -140,6 +140,7 @@ pub fn server_control() -> Vec<Sample<ServerControl>> {
         avatars: vec![(OBJECT, POSITION, half_turn())],
         anchor: [1.0, -2.0, 0.5],
         tick_micros: 50_000,
+        answer_micros: 50_000,
         policy: "visible".into(),
         tracking: true,
         blur: 1.0,

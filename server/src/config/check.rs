@@ -3,6 +3,8 @@
 
 use std::path::Path;
 
+use eyeline_protocol::WorldTime;
+
 use super::Loaded;
 use super::options::{ServeOptions, ServerOptions};
 use crate::net::{Anonymous, Identity};
@@ -34,8 +36,8 @@ pub fn contradictions(options: &ServeOptions) -> Vec<(&'static str, String)> {
     wrong
 }
 
-/// All that is wrong with settings and the files that they name, with the place of each. Reads the files and writes none.
-pub fn problems(loaded: &Loaded<ServerOptions>) -> Vec<String> {
+/// All that is wrong at `now` with settings and the files that they name, with the place of each. Reads the files and writes none.
+pub fn problems(loaded: &Loaded<ServerOptions>, now: WorldTime) -> Vec<String> {
     let options = &loaded.options.serve;
     let at = |key: &str, reason: String| format!("{}: {reason}", loaded.origin(key));
     let mut problems: Vec<String> = contradictions(options).into_iter().map(|(key, reason)| at(key, reason)).collect();
@@ -54,11 +56,25 @@ pub fn problems(loaded: &Loaded<ServerOptions>) -> Vec<String> {
         problems.extend(PvsTable::read(path).err().map(|error| at("pvs", error.to_string())));
     }
     if let (Some(certificate), Some(key)) = (&options.tls.certificate, &options.tls.key) {
-        problems
-            .extend(Identity::from_files(certificate, key).err().map(|error| at("tls.certificate", error.to_string())));
+        match Identity::from_files(certificate, key) {
+            Err(error) => problems.push(at("tls.certificate", error.to_string())),
+            Ok(identity) => {
+                let ended = identity.complaints(certificate, now).into_iter().filter(|complaint| complaint.is_now);
+                problems.extend(ended.map(|complaint| at("tls.certificate", complaint.text)));
+            }
+        }
     }
     problems.extend(options.gate.gate().err().map(|error| at("gate.keys", error.to_string())));
     problems
+}
+
+/// What will be wrong before long: certificates that end soon.
+pub fn warnings(loaded: &Loaded<ServerOptions>, now: WorldTime) -> Vec<String> {
+    let tls = &loaded.options.serve.tls;
+    let (Some(certificate), Some(key)) = (&tls.certificate, &tls.key) else { return Vec::new() };
+    let Ok(identity) = Identity::from_files(certificate, key) else { return Vec::new() };
+    let soon = identity.complaints(certificate, now).into_iter().filter(|complaint| !complaint.is_now);
+    soon.map(|complaint| format!("{}: {}", loaded.origin("tls.certificate"), complaint.text)).collect()
 }
 
 fn missing(path: &Path) -> Option<String> {

@@ -147,6 +147,7 @@ async fn converse(
     };
     let reading = async {
         let mut reader = ControlReader::of_client();
+        let mut is_first = true;
         loop {
             match receive.read_chunk(16 * 1024, true).await {
                 Ok(Some(chunk)) => reader.push(&chunk.bytes),
@@ -156,12 +157,17 @@ async fn converse(
             }
             loop {
                 match reader.next_message() {
-                    Ok(Some(message)) => handle.drive(|world, now| {
-                        world.handle_control(id, &message, now);
-                        if world.is_admitted(id) {
-                            place.let_in();
+                    Ok(Some(message)) => {
+                        if std::mem::take(&mut is_first) {
+                            handle.check_token(&message).await;
                         }
-                    }),
+                        handle.drive(|world, now| {
+                            world.handle_control(id, &message, now);
+                            if world.is_admitted(id) {
+                                place.let_in();
+                            }
+                        });
+                    }
                     Ok(None) => break,
                     Err(error) => {
                         // Counted and told; writing closes the connection once the client has it.

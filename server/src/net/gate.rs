@@ -11,10 +11,11 @@ use clap::ValueEnum;
 use eyeline_protocol::{AVATARS_MAX, Rank, Refusal, WorldTime};
 
 use super::bans::Bans;
+use super::checks::TokenChecks;
 use super::watched::Watched;
-use crate::gate::{Caller, Denial, Gate, Permit};
+use crate::gate::{Caller, Denial, Gate, Permit, TokenMark};
 use crate::token::files::{FileError, Revocations, read_public, revoked_path};
-use crate::token::{PublicKey, TokenError, verify};
+use crate::token::{PublicKey, TokenError};
 
 /// Who may come without a token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -54,11 +55,13 @@ pub enum GateError {
 #[derive(Debug)]
 pub struct TokenGate {
     keys: Vec<(Watched<PublicKey>, Watched<Revocations>)>,
-    audience: String,
+    checks: TokenChecks,
     anonymous: Anonymous,
     anonymous_permit: Permit,
     bans: Bans,
     looked: WorldTime,
+    /// Whether a list has changed since somebody asked.
+    has_news: bool,
 }
 
 impl TokenGate {
@@ -76,19 +79,27 @@ impl TokenGate {
             let revoked = Watched::new(vec![revoked_path(path)], revoked)?;
             Ok((key, revoked))
         };
+        let keys: Vec<(Watched<PublicKey>, _)> = keys.iter().map(read).collect::<Result<_, FileError>>()?;
+        let publics = keys.iter().map(|(key, _)| key.get().clone()).collect();
         Ok(TokenGate {
-            keys: keys.iter().map(read).collect::<Result<_, FileError>>()?,
-            audience: audience.into(),
+            checks: TokenChecks::new(publics, &audience.into()),
+            keys,
             anonymous: Anonymous::default(),
-            anonymous_permit: Permit { rank: Rank::Actor, avatars_max: AVATARS_MAX as u16, subject: String::new() },
+            anonymous_permit: Permit {
+                rank: Rank::Actor,
+                avatars_max: AVATARS_MAX as u16,
+                subject: String::new(),
+                token: None,
+            },
             bans: Bans::default(),
             looked: WorldTime::MIN,
+            has_news: false,
         })
     }
 
     /// Sets who may come without a token, as what, and with how many avatars at most.
     pub fn with_anonymous(self, anonymous: Anonymous, rank: Rank, avatars_max: u16) -> TokenGate {
-        let anonymous_permit = Permit { rank, avatars_max, subject: String::new() };
+        let anonymous_permit = Permit { rank, avatars_max, subject: String::new(), token: None };
         TokenGate { anonymous, anonymous_permit, ..self }
     }
 
@@ -100,14 +111,24 @@ impl TokenGate {
         Ok(TokenGate { bans: Bans::kept_in(path)?, ..self })
     }
 
-    fn look(&mut self, now: WorldTime) {
+    /// Checks the signatures of tokens for this gate, elsewhere and beforehand.
+    pub fn checks(&self) -> TokenChecks {
+        self.checks.clone()
+    }
+
+    fn look_at_files(&mut self, now: WorldTime) {
         if self.looked != WorldTime::MIN && now.since(self.looked) < LOOK {
             return;
         }
         self.looked = now;
+        let mut has_new_key = false;
         for (public, list) in &mut self.keys {
-            public.look(key);
-            list.look(revoked);
+            has_new_key |= public.look(key);
+            self.has_news |= list.look(revoked);
+        }
+        self.has_news |= self.bans.look();
+        if has_new_key {
+            self.checks.use_keys(self.keys.iter().map(|(key, _)| key.get().clone()).collect());
         }
     }
 
@@ -130,12 +151,12 @@ impl TokenGate {
         if self.keys.is_empty() {
             return Err(denied("this server takes no tokens; come without one, or ask who runs it".into()));
         }
-        let keys = self.keys.iter().map(|(key, _)| key.get());
-        match verify(token, keys, &self.audience, now) {
-            Ok((claims, index)) if self.keys[index].1.get().covers(&claims) => {
-                Err(denied("your token was revoked; ask who runs this server for another".into()))
+        match self.checks.take(token, now) {
+            Ok((claims, index)) if self.keys[index].1.get().covers(&claims) => Err(denied(REVOKED.into())),
+            Ok((claims, key)) => {
+                let token = Some(TokenMark { id: claims.id, issued: claims.issued, key });
+                Ok(Permit { rank: claims.role, avatars_max: claims.avatars, subject: claims.subject, token })
             }
-            Ok((claims, _)) => Ok(Permit { rank: claims.role, avatars_max: claims.avatars, subject: claims.subject }),
             // These say nothing that only we know, or were shown a signature of ours.
             Err(error @ (TokenError::Expired { .. } | TokenError::Early { .. } | TokenError::Format)) => {
                 Err(denied(error.to_string()))
@@ -149,7 +170,7 @@ impl TokenGate {
 
 impl Gate for TokenGate {
     fn admit(&mut self, token: &[u8], caller: Caller, now: WorldTime) -> Result<Permit, Denial> {
-        self.look(now);
+        self.look_at_files(now);
         let permit = if token.is_empty() { self.anonymous(caller) } else { self.by_token(token, now) }?;
         match self.bans.until(&permit.subject, caller.address, now) {
             Some(until) => Err(Denial { refusal: Refusal::Banned, reason: super::bans::reason(until) }),
@@ -160,7 +181,27 @@ impl Gate for TokenGate {
     fn ban(&mut self, subject: &str, caller: Caller, until: WorldTime) {
         self.bans.add(subject, caller.address, until);
     }
+
+    fn look(&mut self, now: WorldTime) -> bool {
+        self.look_at_files(now);
+        std::mem::take(&mut self.has_news)
+    }
+
+    fn dismisses(&self, permit: &Permit, caller: Caller, now: WorldTime) -> Option<Denial> {
+        let is_revoked = permit.token.as_ref().is_some_and(|token| {
+            let list = self.keys.get(token.key).map(|(_, list)| list.get());
+            list.is_some_and(|list| list.covers_token(&token.id, &permit.subject, token.issued))
+        });
+        if is_revoked {
+            return Some(Denial { refusal: Refusal::Token, reason: REVOKED.into() });
+        }
+        let until = self.bans.until(&permit.subject, caller.address, now)?;
+        Some(Denial { refusal: Refusal::Banned, reason: super::bans::reason(until) })
+    }
 }
+
+/// What is said to whose token was revoked, at the door and inside.
+const REVOKED: &str = "your token was revoked; ask who runs this server for another";
 
 fn key(paths: &[PathBuf]) -> Result<PublicKey, FileError> {
     read_public(&paths[0])
@@ -302,6 +343,36 @@ mod tests {
         revoked.revoke_subject("anna", noon());
         revoked.write(&list).unwrap();
         assert!(!is_let_in(5));
+    }
+
+    #[test]
+    fn who_is_inside_is_dismissed_once_its_token_is_revoked_or_its_name_is_on_the_list_of_bans() {
+        let (folder, public, secret) = key();
+        let bans = folder.path().join("bans");
+        let mut gate = TokenGate::new(std::slice::from_ref(&public), "hall").unwrap().with_bans(&bans).unwrap();
+        let from = caller("203.0.113.7");
+        let mut let_in = |subject: &str, id: &str| {
+            let token = secret.issue(&Claims { id: id.into(), ..claims(subject) }).unwrap().into_bytes();
+            gate.admit(&token, from, noon()).unwrap()
+        };
+        let (anna, anna_too) = (let_in("anna", "0123456789abcdef"), let_in("anna", "fedcba9876543210"));
+        let bob = let_in("bob", "00000000000000bb");
+        let nobody = Permit { token: None, ..let_in("", "") };
+        assert!(!gate.look(noon()));
+        let mut revoked = Revocations::default();
+        revoked.revoke_id("0123456789abcdef");
+        revoked.write(&revoked_path(&public)).unwrap();
+        assert!(!gate.look(noon()), "files are looked at once a second");
+        let later = noon() + seconds(1);
+        assert!(gate.look(later) && !gate.look(later));
+        let why = |gate: &TokenGate, permit: &Permit| gate.dismisses(permit, from, later).map(|denial| denial.refusal);
+        let of_all = |gate: &TokenGate| [&anna, &anna_too, &bob, &nobody].map(|permit| why(gate, permit));
+        assert_eq!(of_all(&gate), [Some(Refusal::Token), None, None, None]);
+        assert!(gate.dismisses(&anna, from, later).unwrap().reason.contains("revoked"));
+        std::fs::write(&bans, "subject 2027-01-01T00:00:00Z bob\n").unwrap();
+        let later_still = noon() + seconds(2);
+        assert!(gate.look(later_still));
+        assert_eq!(of_all(&gate), [Some(Refusal::Token), None, Some(Refusal::Banned), None]);
     }
 
     #[test]

@@ -4,12 +4,14 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
+use eyeline_protocol::WorldTime;
 use rustls::crypto::ring::default_provider;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::server::{ClientHello, ResolvesServerCert};
 use rustls::sign::CertifiedKey;
 
+use super::dates::Complaint;
 use super::watched::Watched;
 use crate::hash::sha256;
 
@@ -163,6 +165,12 @@ impl Identity {
     /// The fingerprint as 64 hexadecimal digits.
     pub fn fingerprint_hex(&self) -> String {
         hex(self.fingerprint())
+    }
+
+    /// What is to be said at `now` about the time for which the certificate in `file` is good, and those after it. Clients
+    /// that pin a fingerprint do not mind; those that trust an authority do.
+    pub fn complaints(&self, file: &Path, now: WorldTime) -> Vec<Complaint> {
+        super::dates::complaints(file, &self.shown.now().cert, now)
     }
 
     /// What handshakes ask for the certificate.

@@ -9,8 +9,10 @@
 
 mod arrivals;
 mod bans;
+mod checks;
 mod clock;
 mod connection;
+mod dates;
 mod endpoint;
 mod flush;
 mod gate;
@@ -30,9 +32,11 @@ pub use arrivals::{ArrivalCounts, ArrivalLimits, Declined};
 use arrivals::{Arrivals, Verdict};
 pub use bans::BANS_MAX;
 use bytes::Bytes;
+pub use checks::TokenChecks;
 pub use clock::WorldClock;
+pub use dates::{Complaint, RENEW_WITHIN};
 pub use endpoint::{quic_config, socket};
-use eyeline_protocol::WorldTime;
+use eyeline_protocol::{ClientControl, WorldTime, codec};
 use flush::Core;
 pub use gate::{Anonymous, GateError, KEYS_MAX, TokenGate};
 pub(crate) use identity::write_private;
@@ -156,6 +160,8 @@ pub struct Handle {
     life: Arc<Life>,
     clock: WorldClock,
     model: Bytes,
+    /// What checks tokens before the world is asked, one at a time.
+    checks: Option<(TokenChecks, Arc<tokio::sync::Semaphore>)>,
 }
 
 /// A connection's place among the [`Arrivals`]; free again when it is dropped.
@@ -262,6 +268,19 @@ impl Handle {
         self.lock().stats = ShellStats::default();
     }
 
+    /// Checks the token of a hello, while everything else goes on.
+    async fn check_token(&self, message: &[u8]) {
+        let Some((checks, turn)) = &self.checks else { return };
+        let Ok(ClientControl::Hello { token, .. }) = codec::decode_client_control(message) else { return };
+        if token.is_empty() {
+            return;
+        }
+        // Who asks for many checks has them one after the other.
+        let Ok(_turn) = turn.acquire().await else { return };
+        let (checks, now) = (checks.clone(), self.clock.now());
+        let _ = tokio::task::spawn_blocking(move || checks.check(&token, now)).await;
+    }
+
     /// Runs `f` on the world and sends what comes of it.
     fn drive(&self, f: impl FnOnce(&mut World, WorldTime)) {
         let started = Instant::now();
@@ -304,13 +323,19 @@ impl Server {
         let core = Core { world, peers: BTreeMap::new(), hook, stats: ShellStats::default() };
         let (core, arrivals) = (Arc::new(Mutex::new(core)), Arc::new(Mutex::new(arrivals)));
         let drain = ShellConfig::default().drain;
-        Ok(Server { endpoint, handle: Handle { core, arrivals, life, clock, model }, drain })
+        Ok(Server { endpoint, handle: Handle { core, arrivals, life, clock, model, checks: None }, drain })
     }
 
     /// The same with other settings of the shell.
     pub fn with_config(mut self, config: ShellConfig) -> Server {
         *self.handle.arrivals() = Arrivals::new(config.arrivals, self.handle.clock.now());
         self.drain = config.drain;
+        self
+    }
+
+    /// Has tokens checked on another thread, before the world's gate, whose checks these are, is asked about them.
+    pub fn with_token_checks(mut self, checks: TokenChecks) -> Server {
+        self.handle.checks = Some((checks, Arc::new(tokio::sync::Semaphore::new(1))));
         self
     }
 

@@ -27,6 +27,8 @@ pub(super) struct Watched<T> {
     paths: Vec<PathBuf>,
     stamps: Vec<Option<Stamp>>,
     value: T,
+    /// Whether the files were good when they were looked at last.
+    is_sound: bool,
 }
 
 impl<T> Watched<T> {
@@ -34,12 +36,28 @@ impl<T> Watched<T> {
     pub(super) fn new<E>(paths: Vec<PathBuf>, read: impl FnOnce(&[PathBuf]) -> Result<T, E>) -> Result<Watched<T>, E> {
         let stamps = paths.iter().map(|path| stamp(path)).collect();
         let value = read(&paths)?;
-        Ok(Watched { paths, stamps, value })
+        Ok(Watched { paths, stamps, value, is_sound: true })
     }
 
     /// What they say.
     pub(super) fn get(&self) -> &T {
         &self.value
+    }
+
+    /// The first of them.
+    pub(super) fn path(&self) -> &Path {
+        &self.paths[0]
+    }
+
+    /// Whether they could be read when they were looked at last: else they say something that we do not know.
+    pub(super) fn is_sound(&self) -> bool {
+        self.is_sound
+    }
+
+    /// We have written `value` into the files ourselves.
+    pub(super) fn note_written(&mut self, value: T) {
+        self.stamps = self.paths.iter().map(|path| stamp(path)).collect();
+        self.value = value;
     }
 
     /// Reads them again if one has changed; says whether that brought something new. A state that is no good is reported
@@ -52,10 +70,13 @@ impl<T> Watched<T> {
         // Stamped before reading: what changes while it is read is read again.
         self.stamps = stamps;
         if let Some(gone) = self.paths.iter().zip(&self.stamps).find(|(_, stamp)| stamp.is_none()) {
+            self.is_sound = true;
             tracing::warn!("{} is gone; what it said still holds until it is back", gone.0.display());
             return false;
         }
-        match read(&self.paths) {
+        let read = read(&self.paths);
+        self.is_sound = read.is_ok();
+        match read {
             Ok(value) => {
                 self.value = value;
                 true

@@ -230,7 +230,12 @@ impl Revocations {
 
     /// Whether a token is revoked.
     pub fn covers(&self, claims: &Claims) -> bool {
-        self.ids.contains(&claims.id) || self.subjects.get(&claims.subject).is_some_and(|until| claims.issued <= *until)
+        self.covers_token(&claims.id, &claims.subject, claims.issued)
+    }
+
+    /// Whether the token of this name, issued then to that subject, is revoked.
+    pub fn covers_token(&self, id: &str, subject: &str, issued: WorldTime) -> bool {
+        self.ids.contains(id) || self.subjects.get(subject).is_some_and(|until| issued <= *until)
     }
 
     /// Number of tokens and subjects on the list.

@@ -45,6 +45,12 @@ pub(super) struct Announcements {
 }
 
 impl Announcements {
+    /// How many are kept.
+    #[cfg(test)]
+    pub(super) fn kept(&self) -> usize {
+        self.kept.len()
+    }
+
     /// Number of the next announcement.
     fn next(&self) -> u64 {
         self.first + self.kept.len() as u64
@@ -183,7 +189,7 @@ impl World {
         if let Some(resume) = hello.resume
             && let Some(old) = self.whose(&resume, &permit)
         {
-            return self.readmit(id, old, resume, now);
+            return self.readmit(id, old, resume, permit, now);
         }
         let wanted = match hello.role {
             Role::Avatar => 1,
@@ -245,15 +251,17 @@ impl World {
                 && !session.is_refused
                 && matches!(session.phase, Phase::Live { .. })
                 // Another's token, or a rank that was lost, is not made good by having been here.
-                && session.permit == *permit
+                && session.permit.is_like(permit)
         };
         self.sessions.iter().find(|(_, session)| is_it(session)).map(|(&id, _)| id)
     }
 
     /// `old` goes on as `id`.
-    fn readmit(&mut self, id: SessionId, old: SessionId, resume: Resume, now: WorldTime) {
+    fn readmit(&mut self, id: SessionId, old: SessionId, resume: Resume, permit: Permit, now: WorldTime) {
         let (Some(mut session), Some(fresh)) = (self.sessions.remove(&old), self.sessions.remove(&id)) else { return };
         let Phase::Live { slot, watches } = session.phase else { return };
+        // It may have come with a newer token; the one that it has shown now is the one that counts.
+        session.permit = permit;
         if session.away_since.is_none() {
             let reason = "you have come back over another connection".to_owned();
             let message = ServerControl::Refused { refusal: Refusal::Replaced, reason: reason.clone() };
@@ -317,6 +325,7 @@ impl World {
             avatars: session.avatars.iter().map(place).collect(),
             anchor: self.anchor.to_array(),
             tick_micros: self.config.tick.as_micros() as u32,
+            answer_micros: self.config.answer_wait().as_micros() as u32,
             policy: self.policy.name().to_owned(),
             tracking: self.policy.tracking(),
             blur: self.config.blur,

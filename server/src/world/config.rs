@@ -14,6 +14,8 @@ use crate::path::PathError;
 pub struct WorldConfig {
     /// World time between commits; default 50 ms. Shorter costs CPU and messages in proportion.
     pub tick: Duration,
+    /// When requests are answered; default on arrival.
+    pub answers: Answers,
     /// Least radius within which a hidden object's place is kept uncertain, in metres; default 1. Greater hides more
     /// and costs messages near walls.
     pub blur: f64,
@@ -50,10 +52,51 @@ pub struct WorldConfig {
     pub default_spawn: DVec3,
 }
 
+/// When requests are answered. A datagram costs both ends about as much as all that it carries, so that what is due together
+/// had better go together; DESIGN §3.3 counts what waits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Answers {
+    /// On arrival, each client's by a datagram beside the tick's: nothing waits.
+    #[default]
+    Arrival,
+    /// With the tick, in the datagram that tells what has changed: one to each client and tick. An answer waits for up to a
+    /// tick, which welcome says, and which clients' leads and patience then have room for.
+    Tick,
+}
+
+impl Answers {
+    /// Both.
+    pub const ALL: [Answers; 2] = [Answers::Arrival, Answers::Tick];
+
+    /// Its name in settings.
+    pub fn name(self) -> &'static str {
+        match self {
+            Answers::Arrival => "arrival",
+            Answers::Tick => "tick",
+        }
+    }
+}
+
+impl std::str::FromStr for Answers {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Answers, String> {
+        let known = Answers::ALL.into_iter().find(|answers| answers.name() == text);
+        known.ok_or_else(|| format!("'{text}' is not arrival or tick"))
+    }
+}
+
+impl std::fmt::Display for Answers {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(self.name())
+    }
+}
+
 impl Default for WorldConfig {
     fn default() -> WorldConfig {
         WorldConfig {
             tick: Duration::from_millis(50),
+            answers: Answers::default(),
             blur: 1.0,
             grid_seed: 0,
             validity_max: Duration::from_secs(3600),
@@ -75,6 +118,16 @@ impl WorldConfig {
     /// Sets the tick.
     pub fn with_tick(self, tick: Duration) -> WorldConfig {
         WorldConfig { tick, ..self }
+    }
+
+    /// Sets when requests are answered.
+    pub fn with_answers(self, answers: Answers) -> WorldConfig {
+        WorldConfig { answers, ..self }
+    }
+
+    /// How long an answer waits at most.
+    pub(super) fn answer_wait(&self) -> Duration {
+        if self.answers == Answers::Tick { self.tick } else { Duration::ZERO }
     }
 
     /// Sets the blur, metres.

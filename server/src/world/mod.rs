@@ -6,7 +6,7 @@
 //!
 //! Time advances in ticks. What clients and paths want is *committed* once a tick, snapped to the wire's grid, and held
 //! to each object's motion bound; every record that leaves speaks of the newest committed state. Requests are answered
-//! on arrival.
+//! on arrival, or with the tick if the world is set to ([`Answers`]).
 
 mod admission;
 mod blur;
@@ -32,7 +32,7 @@ use glam::DVec3;
 
 use admission::{Announcements, Hello};
 pub use census::Census;
-pub use config::{WorldConfig, WorldError};
+pub use config::{Answers, WorldConfig, WorldError};
 pub use limits::{LimitCounts, Limited, Limits, Rate};
 pub use object::Object;
 pub(crate) use object::present;
@@ -278,7 +278,7 @@ impl World {
         }
     }
 
-    /// One datagram of a client. Requests in it are answered at once.
+    /// One datagram of a client. Requests in it are answered at once, or with the next tick.
     pub fn handle_datagram(&mut self, id: SessionId, bytes: &[u8], now: WorldTime) {
         self.stats.datagrams_in += 1;
         self.stats.datagram_bytes_in += bytes.len() as u64;
@@ -384,7 +384,7 @@ impl World {
         if over {
             session.meter.bear(limits, now);
         }
-        if answer && !session.waits_for_tick {
+        if answer && !session.waits_for_tick && self.config.answers == Answers::Arrival {
             self.awake.push_back(id);
         }
         self.send_away_if_spent(id);
@@ -456,6 +456,7 @@ impl World {
                 self.spread_violation(ObjectId(index as u32), outcome.entered_or_left);
             }
         }
+        self.heed_gate(now);
         self.end_graces();
         self.announce();
         if let Some(audit) = &mut self.audit {
@@ -606,6 +607,11 @@ impl World {
         &self.validity
     }
 
+    /// How long an answer waits at most: the server's part of the promise's bound (DESIGN §3.3), its work apart.
+    pub fn answer_wait(&self) -> Duration {
+        self.config.answer_wait()
+    }
+
     /// World time between ticks.
     pub fn tick_period(&self) -> Duration {
         self.config.tick
@@ -629,7 +635,7 @@ impl World {
 fn eye_region(config: &WorldConfig, motion: MotionBound, round_trip: Option<Duration>) -> f64 {
     // Of a client that has not been measured yet the most is believed.
     let Some(round_trip) = round_trip else { return config.audit_radius_max };
-    motion.reach((2 * round_trip + 3 * config.tick).as_secs_f64()).min(config.audit_radius_max)
+    motion.reach((2 * round_trip + config.answer_wait() + 3 * config.tick).as_secs_f64()).min(config.audit_radius_max)
 }
 
 /// The greatest speed of an object's class, m/s.
@@ -723,6 +729,9 @@ fn classes(config: &WorldConfig, spec: &WorldSpec) -> Result<Vec<Class>, WorldEr
 
 #[cfg(test)]
 mod audit_tests;
+
+#[cfg(test)]
+mod churn_tests;
 
 #[cfg(test)]
 mod limits_tests;

@@ -10,6 +10,7 @@ use eyeline_protocol::{
 
 use super::session::{Phase, Session};
 use super::{SessionId, World};
+use crate::gate::Denial;
 
 /// Something that happened, for the application around a world.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -135,6 +136,22 @@ impl World {
             self.disconnect(id);
         }
         true
+    }
+
+    /// Sends away whom the gate would no longer let in, once there is news of that.
+    pub(super) fn heed_gate(&mut self, now: WorldTime) {
+        if !self.gate.look(now) {
+            return;
+        }
+        let dismissed = |(_, session): (SessionId, &Session)| {
+            let denial = self.gate.dismisses(&session.permit, session.caller, now).filter(|_| !session.is_refused)?;
+            Some((session.client, denial))
+        };
+        let dismissed: Vec<_> = self.live().filter_map(dismissed).collect();
+        for (client, Denial { refusal, reason }) in dismissed {
+            self.stats.dismissed += 1;
+            self.send_away(client, refusal, &reason);
+        }
     }
 
     fn live(&self) -> impl Iterator<Item = (SessionId, &Session)> {

@@ -27,7 +27,7 @@ impl Gate for Ranks {
         if self.banned.iter().any(|banned| *banned == subject) {
             return Err(Denial { refusal: Refusal::Banned, reason: "banned".into() });
         }
-        Ok(Permit { rank: Rank::ALL[usize::from(rank)], avatars_max: 2, subject: subject.into_owned() })
+        Ok(Permit { rank: Rank::ALL[usize::from(rank)], avatars_max: 2, subject: subject.into_owned(), token: None })
     }
 
     fn ban(&mut self, subject: &str, _: Caller, _: WorldTime) {
@@ -485,4 +485,59 @@ fn who_comes_back_with_nothing_holds_nothing_and_who_kept_all_hears_what_it_hold
         assert_eq!(held, hold, "{:?}", welcome_of(&news).continuity);
         assert_eq!(world.objects()[CHAIR.index()].owner.is_some(), hold.is_some());
     }
+}
+
+/// Thinks better of it when told to: `anna` may stay no longer.
+struct Fickle(std::sync::Arc<std::sync::atomic::AtomicBool>);
+
+impl Gate for Fickle {
+    fn admit(&mut self, token: &[u8], _: Caller, _: WorldTime) -> Result<Permit, Denial> {
+        let subject = String::from_utf8_lossy(token).into_owned();
+        Ok(Permit { rank: Rank::Actor, avatars_max: 1, subject, token: None })
+    }
+
+    fn ban(&mut self, _: &str, _: Caller, _: WorldTime) {}
+
+    fn look(&mut self, _: WorldTime) -> bool {
+        self.0.load(std::sync::atomic::Ordering::Relaxed)
+    }
+
+    fn dismisses(&self, permit: &Permit, _: Caller, _: WorldTime) -> Option<Denial> {
+        (permit.subject == "anna").then(|| Denial { refusal: Refusal::Token, reason: "your token was revoked".into() })
+    }
+}
+
+#[test]
+fn who_may_stay_no_longer_is_told_why_and_leaves_within_a_tick() {
+    let news = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let mut world = world(Box::new(Visible));
+    world.set_gate(Box::new(Fickle(news.clone())));
+    let (anna, _) = hello(&mut world, 1, b"anna", Role::Avatar, None);
+    let (bob, _) = hello(&mut world, 2, b"bob", Role::Avatar, None);
+    let (away, _) = hello(&mut world, 3, b"anna", Role::Avatar, None);
+    tick(&mut world);
+    world.disconnect(away.id);
+    tick(&mut world);
+    heard(&mut world, anna.id);
+    assert_eq!(world.avatars(), 3, "who is away has an avatar that waits");
+    news.store(true, std::sync::atomic::Ordering::Relaxed);
+    tick(&mut world);
+    let sent = drain(&mut world, anna.id);
+    let refused = sent.iter().find_map(|transmit| match transmit {
+        Transmit::Control(bytes) => match codec::decode_server_control(&bytes[4..]).unwrap() {
+            ServerControl::Refused { refusal, reason } => Some((refusal, reason)),
+            _ => None,
+        },
+        _ => None,
+    });
+    assert_eq!(refused, Some((Refusal::Token, "your token was revoked".into())));
+    assert!(sent.iter().any(|transmit| matches!(transmit, Transmit::Close(_))), "{sent:?}");
+    // Said once, though the news stands; who waited for nothing is gone at once, and comes back to nothing.
+    tick(&mut world);
+    assert!(heard(&mut world, anna.id).iter().all(|message| !matches!(message, ServerControl::Refused { .. })));
+    assert_eq!((world.stats().dismissed, world.avatars()), (2, 2));
+    world.disconnect(anna.id);
+    tick(&mut world);
+    assert_eq!(world.avatars(), 1);
+    assert!(world.is_admitted(bob.id));
 }

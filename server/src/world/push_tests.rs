@@ -1,11 +1,11 @@
 //! What is pushed when: dead reckoning, the byte cap, and how fast a turn is believed.
 
-use eyeline_protocol::{ClientHeader, LinkHeader, Prediction, Role, ServerHeader, ServerRecord};
+use eyeline_protocol::{ClientHeader, LinkHeader, Prediction, Reason, Role, ServerHeader, ServerRecord};
 
 use super::audit_tests::told;
-use super::tests::{datagram, drain, join};
+use super::tests::{datagram, drain, join, world_of};
 use super::*;
-use crate::policy::Broadcast;
+use crate::policy::{Broadcast, Visible};
 
 const TICK_MICROS: i64 = 50_000;
 
@@ -296,5 +296,27 @@ fn a_turn_without_a_bound_is_taken_as_it_is_and_nonsense_is_refused() {
         let config = WorldConfig::default().with_dead_reckoning_px(Some(bad));
         let world = World::new(config, WorldSpec::default(), info, DVec3::ZERO, Box::new(Broadcast), WorldTime::ZERO);
         assert!(matches!(world.err(), Some(WorldError::DeadReckoning { .. })), "{bad}");
+    }
+}
+
+#[test]
+fn a_request_is_answered_on_arrival_or_with_the_tick_and_by_one_datagram_either_way() {
+    for (answers, on_arrival, with_the_tick) in [(Answers::Arrival, 1, 0), (Answers::Tick, 0, 1)] {
+        let mut world = world_of(WorldConfig::default().with_answers(answers), Box::new(Visible));
+        let _other = join(&mut world, Role::Avatar);
+        let asker = join(&mut world, Role::Avatar);
+        world.tick(WorldTime::from_micros(50_000));
+        drain(&mut world, asker);
+        let mut sent = |world: &mut World| {
+            let sent = drain(world, asker);
+            sent.iter().filter(|transmit| matches!(transmit, Transmit::Datagram(_))).count()
+        };
+        let request = ClientRecord::Request { object: ObjectId(0), want: Want::Place, reason: Reason::Exposed };
+        world.handle_datagram(asker, &datagram(1, &[request]), WorldTime::from_micros(60_000));
+        assert_eq!(sent(&mut world), on_arrival, "{answers}");
+        world.tick(WorldTime::from_micros(100_000));
+        assert_eq!(sent(&mut world), with_the_tick, "{answers}");
+        assert_eq!(world.stats().out.places, 1, "{answers}");
+        assert_eq!(world.answer_wait() > Duration::ZERO, answers == Answers::Tick);
     }
 }

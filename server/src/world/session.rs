@@ -194,7 +194,7 @@ impl Session {
             phase: Phase::Greeting,
             client,
             caller,
-            permit: Permit { rank: Rank::Viewer, avatars_max: 0, subject: String::new() },
+            permit: Permit { rank: Rank::Viewer, avatars_max: 0, subject: String::new(), token: None },
             role: Role::Viewer,
             name: String::new(),
             came_at: now,

@@ -143,6 +143,8 @@ pub struct WorldStats {
     pub control_out: u64,
     /// Clients admitted.
     pub admitted: u64,
+    /// Clients sent away since the gate would let them in no longer.
+    pub dismissed: u64,
     /// Clients refused.
     pub refused: u64,
     /// Clients that came back.

@@ -21,7 +21,7 @@ use eyeline_client::session::{Session, SessionConfig};
 use eyeline_client::tracking::{Growth, Lead, Sabotage, TrackerConfig};
 use eyeline_protocol::{Interest, WorldTime};
 use eyeline_server::policy::PolicySettings;
-use eyeline_server::world::{World, WorldConfig};
+use eyeline_server::world::{Answers, World, WorldConfig};
 use eyeline_visibility::Resolution;
 
 pub use fit::{Fit, fit};
@@ -72,6 +72,8 @@ pub struct MeasureConfig {
     pub truth_share: f64,
     /// Consecutive frames in a burst of truth.
     pub burst_frames: u64,
+    /// When the server answers requests.
+    pub answers: Answers,
     /// Least radius within which a hidden object's place is uncertain, metres.
     pub blur: f64,
     /// Whether preset paths and rest make bounds at the server.
@@ -111,6 +113,7 @@ impl Default for MeasureConfig {
             side: 128,
             truth_share: 0.1,
             burst_frames: 20,
+            answers: Answers::default(),
             blur: 1.0,
             swept: true,
             audit: false,
@@ -136,6 +139,7 @@ impl MeasureConfig {
     fn world(&self, stage: &Stage) -> WorldConfig {
         WorldConfig::default()
             .with_tick(self.frame())
+            .with_answers(self.answers)
             .with_blur(self.blur)
             .with_swept(self.swept)
             .with_grid_seed(self.seed)

@@ -237,6 +237,7 @@ async fn run_clients(
     progress.finish();
     let after = ready.handle.with_world(|world| *world.stats());
     let shell = ready.handle.stats();
+    let answer_wait = ready.handle.with_world(|world| world.answer_wait());
 
     let mut clients = Vec::new();
     for task in tasks {
@@ -255,7 +256,7 @@ async fn run_clients(
         up,
         down: after.out.since(&before.out),
         server_work: shell.work,
-        turnaround: shell.work_longest,
+        turnaround: shell.work_longest + answer_wait,
         tick_micros,
         poses_clamped: after.poses_clamped - before.poses_clamped,
         violations: after.violations - before.violations,

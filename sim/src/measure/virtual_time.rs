@@ -146,7 +146,7 @@ pub(super) fn run(
         up,
         down: after.out.since(&before.out),
         server_work: Duration::ZERO,
-        turnaround: Duration::ZERO,
+        turnaround: run.world().answer_wait(),
         tick_micros: Vec::new(),
         poses_clamped: after.poses_clamped - before.poses_clamped,
         violations: after.violations - before.violations,

@@ -8,7 +8,7 @@ use eyeline_client::tracking::{Growth, Lead, Sabotage, TrackerConfig};
 use eyeline_protocol::{Role, WorldInfo, WorldTime};
 use eyeline_server::policy::{Broadcast, Policy, Visible};
 use eyeline_server::spec::{ClassSpec, ObjectSpec, PathSpec, SpawnSpec, SpringSpec, WorldSpec};
-use eyeline_server::world::{World, WorldConfig};
+use eyeline_server::world::{Answers, World, WorldConfig};
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -50,6 +50,8 @@ pub struct TownRules {
     pub growth: Growth,
     /// Greatest lateness of a tick.
     pub lateness: Duration,
+    /// When the server answers requests.
+    pub answers: Answers,
     /// How fast clients walk, m/s. An avatar's speed limit is 2 m/s.
     pub walk_speed: f64,
     /// Pixels a side of the faces that clients cull on; `None` to cull by geometry in plan, which is quick.
@@ -101,6 +103,8 @@ impl TownRules {
                 Growth::AtClient
             },
             lateness: Duration::ZERO,
+            // Without a draw, so that every other town is what it was.
+            answers: if seed % 8 == 6 { Answers::Tick } else { Answers::Arrival },
             walk_speed: chance.random_range(0.5..2.0),
             image_side: Some(64),
             adversarial: 1.0 / 3.0,
@@ -141,6 +145,7 @@ impl Town {
         let walls = Arc::new(walls(&mut chance));
         let mut config = WorldConfig::default().with_grid_seed(rules.seed);
         config.validity_max = rules.validity_max;
+        config.answers = rules.answers;
         let secrecy = Secrecy { blur: config.blur, validity_max: rules.validity_max, datagram_limit: 1150 };
         let spec = spec(&walls, &mut chance, rules.carts);
         let start = WorldTime::from_micros(0);
@@ -205,7 +210,11 @@ impl Town {
         let session = SessionConfig::default().with_tracker(tracker);
         let drift = if self.chance.random_bool(0.5) { self.rules.drift } else { -self.rules.drift };
         let plan = ClientPlan::new(session, self.rules.link).with_drift(drift);
-        let allowance = Allowance::of(plan.up, plan.down).with_lead(expects_lead);
+        let waits = match self.run.world().answer_wait() {
+            Duration::ZERO => Duration::ZERO,
+            tick => tick + self.rules.lateness,
+        };
+        let allowance = Allowance::of(plan.up, plan.down).with_answer_wait(waits).with_lead(expects_lead);
         let entry = self.board.enter();
         let walk = self.walk(self.rules.walk_speed, Some(entry));
         let driver = Walker::new(&self.ground, walk, self.rules.teleports, self.board.clone(), entry);

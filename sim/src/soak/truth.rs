@@ -22,6 +22,8 @@ pub struct Allowance {
     pub up_max: Duration,
     /// Longest way from the server.
     pub down_max: Duration,
+    /// How long an answer waits at the server at most.
+    pub answer_wait: Duration,
     /// Whether the client looks ahead, so that what comes into view is to be there at once.
     pub lead: bool,
 }
@@ -29,7 +31,12 @@ pub struct Allowance {
 impl Allowance {
     /// What these rules allow.
     pub fn of(up: LinkRules, down: LinkRules) -> Allowance {
-        Allowance { up_max: up.one_way_max(), down_max: down.one_way_max(), lead: false }
+        Allowance { up_max: up.one_way_max(), down_max: down.one_way_max(), answer_wait: Duration::ZERO, lead: false }
+    }
+
+    /// Expects answers to wait for so long.
+    pub fn with_answer_wait(self, answer_wait: Duration) -> Allowance {
+        Allowance { answer_wait, ..self }
     }
 
     /// Expects a lead, or none.
@@ -37,9 +44,9 @@ impl Allowance {
         Allowance { lead, ..self }
     }
 
-    /// The greatest round trip; the server's turnaround is nothing in virtual time.
+    /// The greatest time from a question to its answer: a round trip, and what the answer waits. Work takes no virtual time.
     pub fn round_trip_max(&self) -> Duration {
-        self.up_max + self.down_max
+        self.up_max + self.answer_wait + self.down_max
     }
 }
 

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::Context as _;
 use clap::Args;
 use eyeline_server::app::number;
+use eyeline_server::world::Answers;
 use eyeline_sim::load::echo::Traffic;
 use eyeline_sim::load::process::load_average;
 use eyeline_sim::report::{Report, Run, rfc3339, table};
@@ -51,6 +52,10 @@ pub struct Load {
     /// Rooms along each side of the world, each with four chairs: 16 make 1,024 objects
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(2..=64))]
     rooms: u32,
+
+    /// When the server answers requests: on arrival, or with the tick
+    #[arg(long, value_name = "WHEN", default_value_t = Answers::default())]
+    answers: Answers,
 
     /// Decides the world and who walks where
     #[arg(long, value_name = "N", default_value_t = 7)]
@@ -96,7 +101,7 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim load --churn 5 --seconds 3600
 
 Server and swarm are processes on a core each (Linux). Exits with 1, after writing the report, if a run was void: if one of a
-hundred of the swarm's frames began more than 5 ms late.";
+hundred of the swarm's frames began more than 5 ms late; or if the server's memory grew through a soak.";
 
 fn cores(text: &str) -> Result<(usize, usize), String> {
     let parsed = text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
@@ -114,15 +119,20 @@ pub fn run(options: &Load) -> anyhow::Result<()> {
     let world = make_world(options)?;
     let mut run = Run::here("Eyeline load", Some(options.seed), started);
     run.notes = notes(options);
+    let mut grown = None;
     let (mut report, void) = match options.churn {
         _ if options.echo => echo(options, &world, run)?,
-        Some(_) => soak(options, &world, run)?,
+        Some(_) => soak(options, &world, run, &mut grown)?,
         None => load(options, &world, run)?,
     };
     report.run.wall_seconds = began.elapsed().as_secs_f64();
     let written = report.write(&options.out)?;
     super::print(&table(report.rows(), &report.columns));
     super::print(&format!("\n{}\nreport: {}\n", report.headline, written.html.display()));
+    // Memory is what it is however late the swarm was.
+    if let Some(grown) = grown {
+        anyhow::bail!(grown);
+    }
     anyhow::ensure!(!void, "void: in some run one frame of a hundred began too late; the machine was too busy");
     Ok(())
 }
@@ -233,7 +243,7 @@ fn echo(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)
 }
 
 /// A long run with churn: does memory grow?
-fn soak(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)> {
+fn soak(options: &Load, world: &Path, run: Run, grown: &mut Option<String>) -> anyhow::Result<(Report, bool)> {
     let mut report = Report::new(run, SoakRow::columns());
     let seconds = if options.seconds == 60.0 { 180.0 } else { options.seconds };
     let mut server = Child::server(options, world)?;
@@ -256,10 +266,13 @@ fn soak(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)
     // The first third is warm-up: what a client has not met yet is new to the server, too.
     let steady: Vec<(f64, f64)> = samples.iter().filter(|(second, _)| *second >= seconds / 3.0).copied().collect();
     let slope = slope(&steady);
+    let verdict = growth(&steady);
+    *grown = verdict
+        .map(|kb| format!("the server's memory grows: by {kb:.0} KB after the first third, at {slope:.2} KB a second"));
     let last = steady.last().map_or(0.0, |sample| sample.1);
     report.headline = format!(
         "{} clients for {seconds} s, {} changes of each of three kinds a second ({} joined, {} came back, {} bounds broken): \
-         memory {:.0} KB at the end, growing by {:.2} KB a second after the first third ({:.2} % a minute)",
+         memory {:.0} KB at the end, growing by {:.2} KB a second after the first third ({:.2} % a minute): {}",
         options.clients,
         options.churn.unwrap_or_default(),
         told.admitted,
@@ -268,8 +281,20 @@ fn soak(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)
         last,
         slope,
         if last > 0.0 { 6000.0 * slope / last } else { 0.0 },
+        if grown.is_some() { "it GROWS" } else { "flat" },
     );
     Ok((report, seen.late_p99_ms > super::swarm::LATE_MAX.as_secs_f64() * 1e3))
+}
+
+/// By how much memory grows through these samples (seconds, KB), if it does: if the line through them rises by more than a
+/// twentieth of their level and by more than a megabyte, and the second half still rises. Memory that goes up and down with who is here,
+/// or has found its level late, does not.
+fn growth(samples: &[(f64, f64)]) -> Option<f64> {
+    let (&(begin, level), &(end, _)) = (samples.first()?, samples.last()?);
+    let rise = |samples: &[(f64, f64)]| slope(samples) * (end - begin);
+    let least = (0.05 * level).max(1024.0);
+    let (all, late) = (rise(samples), rise(&samples[samples.len() / 2..]));
+    (all > least && late > least / 2.0).then_some(all)
 }
 
 /// Slope of the line with the least squares through these points; 0 through fewer than two.
@@ -294,6 +319,22 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn memory_that_goes_up_and_down_does_not_grow_and_a_leak_does() {
+        let samples = |kb: fn(f64) -> f64| (60..180).map(|s| (f64::from(s), kb(f64::from(s)))).collect::<Vec<_>>();
+        assert_eq!(growth(&samples(|_| 20_000.0)), None);
+        assert_eq!(growth(&samples(|s| 20_000.0 + 3_000.0 * (s / 7.0).sin())), None);
+        assert_eq!(
+            growth(&samples(|s| if s < 90.0 { 20_000.0 } else { 23_000.0 })),
+            None,
+            "a level that was found late"
+        );
+        assert_eq!(growth(&samples(|s| 20_000.0 - 30.0 * s)), None);
+        let leak = growth(&samples(|s| 20_000.0 + 25.0 * s + 500.0 * (s / 7.0).sin())).unwrap();
+        assert!((2_500.0..3_500.0).contains(&leak), "{leak}");
+        assert_eq!(growth(&[]), None);
+    }
 
     #[test]
     fn medians_and_slopes() {

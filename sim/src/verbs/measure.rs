@@ -13,6 +13,7 @@ use eyeline_client::tracking::{Growth, Lead, Sabotage};
 use eyeline_protocol::Interest;
 use eyeline_server::app::number;
 use eyeline_server::policy::{PolicySettings, PvsTable};
+use eyeline_server::world::Answers;
 use eyeline_sim::bake::{BakeConfig, bake};
 use eyeline_sim::demo::{self, Case};
 use eyeline_sim::measure::{self, MeasureConfig, Net, Sweep, SweepKey, fit};
@@ -120,6 +121,10 @@ pub struct Measure {
     /// Share of datagrams that the simulated network or the relay loses, 0 to 1, each way
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = number(0.0..=0.9, ""))]
     loss: f64,
+
+    /// When the server answers requests: on arrival, or with the tick
+    #[arg(long, value_name = "WHEN", default_value_t = Answers::default())]
+    answers: Answers,
 
     /// Least radius within which a hidden object's place stays uncertain, metres
     #[arg(long, value_name = "METRES", default_value_t = 1.0, value_parser = number(0.0..=1000.0, "m"))]
@@ -369,6 +374,7 @@ fn prepare(options: &Measure) -> anyhow::Result<Case> {
         warm_up: Duration::from_secs_f64(options.warm_up),
         window: Duration::from_secs_f64(options.seconds),
         tick_hz: options.tick_hz,
+        answers: options.answers,
         resolution: options.resolution,
         side: options.side,
         truth_share: options.truth_share,

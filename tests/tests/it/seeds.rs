@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use eyeline_client::tracking::Lead;
+use eyeline_server::world::Answers;
 use eyeline_sim::soak::{SoakConfig, TownRules, live, long, soak};
 
 const SPAN: Duration = Duration::from_secs(5);
@@ -54,5 +56,19 @@ fn nobody_is_late_in_ten_minutes_of_sixty_four_avatars() {
         let outcome = long::run(case, 0, 600, || ());
         outcome.failures.assert_none(case.name);
         assert!(outcome.counts.visible > 1_000_000);
+    }
+}
+
+#[test]
+fn towns_that_answer_with_the_tick_keep_every_promise_and_are_sent_a_datagram_a_tick() {
+    for (seed, lead) in [(1, Lead::Auto), (5, Lead::None), (9, Lead::Auto)] {
+        let run = |answers| live(TownRules { answers, lead, broadcast: false, ..TownRules::seeded(seed) }, SPAN);
+        let (town, apart) = (run(Answers::Tick), run(Answers::Arrival));
+        town.failures().assert_none(&format!("seed {seed}"));
+        let [together, apart] = [&town, &apart].map(|town| *town.run.world().stats());
+        assert!(together.datagrams_out < apart.datagrams_out, "{} {}", together.datagrams_out, apart.datagrams_out);
+        // One in each tick and for each client; more only where one does not hold all that is due.
+        let rounds = together.ticks * 9;
+        assert!(together.datagrams_out <= rounds, "{} in {rounds}", together.datagrams_out);
     }
 }

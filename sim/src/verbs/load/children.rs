@@ -148,7 +148,7 @@ impl Child {
     /// The world's server, once it listens.
     pub fn server(options: &Load, world: &Path) -> anyhow::Result<Child> {
         let mut arguments = part(options, Part::Server);
-        arguments.extend(words(["--seed", &options.seed.to_string()]));
+        arguments.extend(words(["--seed", &options.seed.to_string(), "--answers", options.answers.name()]));
         let mut server = Child::start(&mut command(&arguments)?, world.with_extension("ready"))?;
         server.expect("listening")?;
         Ok(server)
@@ -360,7 +360,8 @@ async fn serve(options: &Load) -> anyhow::Result<()> {
     let path = options.out.join("world.glb");
     let (model, ..) = load_model(&path, None)?;
     let clock = WorldClock::starting_at(WorldTime::from_micros(1_000_000));
-    let config = WorldConfig::default().with_grid_seed(options.seed).with_avatars_max(65_536);
+    let config =
+        WorldConfig::default().with_grid_seed(options.seed).with_answers(options.answers).with_avatars_max(65_536);
     let world = model.world(config, "visible", &PolicySettings::default(), clock.now())?;
     let identity = identity(options)?;
     let fingerprint = identity.fingerprint_hex();
