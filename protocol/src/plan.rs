@@ -19,12 +19,10 @@ pub enum Stage {
     Tracker,
     /// An eye that stands still is culled for again in each frame.
     LookAgain,
-    /// A still eye's bounds are held to the exact moment at which they come into view.
+    /// A still eye's bounds are held to the exact moment at which they come into view; what never does is never looked at.
     Exact,
     /// Bounds that come from preset paths and from rest.
     Swept,
-    /// What no opening leads to is set aside before anything is asked.
-    Parts,
     /// What serves that clients share bounds.
     Sharing,
     /// States of what moves.
@@ -33,14 +31,13 @@ pub enum Stage {
 
 impl Stage {
     /// All of them, in the order of plans.
-    pub const ALL: [Stage; 10] = [
+    pub const ALL: [Stage; 9] = [
         Stage::Frustum,
         Stage::Occlusion,
         Stage::Prisms,
         Stage::Tracker,
         Stage::LookAgain,
         Stage::Exact,
-        Stage::Parts,
         Stage::Swept,
         Stage::Sharing,
         Stage::States,
@@ -56,7 +53,6 @@ impl Stage {
             Stage::LookAgain => "look-again",
             Stage::Exact => "exact",
             Stage::Swept => "swept",
-            Stage::Parts => "parts",
             Stage::Sharing => "sharing",
             Stage::States => "states",
         }

@@ -104,7 +104,7 @@ pub use ray::{Hit, RayScene, image_ray, pixel_ray};
 pub use region_culler::RegionCuller;
 pub use rounds::{Round, RoundsTraversal};
 pub use scene::{Node, ObjectMesh, Scene, SceneError, Sides, Triangle};
-pub use scratch::Scratch;
+pub use scratch::{NothingHidden, Scratch};
 pub use sealed::SealedFace;
 pub use split_octree::{References, SplitOctree, SplitRules, SplitStats, Update};
 pub use storeys::count_storeys;
