@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use eyeline_protocol::{Position, Role};
+use eyeline_protocol::{PlanSwitch, Position, Role};
 use eyeline_visibility::{Aabb, DynamicOctree};
 use glam::DVec3;
 
@@ -92,6 +92,11 @@ pub struct Headless {
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     fly: Option<DVec3>,
 
+    /// What is left out: as counted (auto), nothing (full), or single stages on or off, as in full,look-again=off. Stages of a
+    /// client without a picture: tracker, look-again, exact
+    #[arg(long, value_name = "auto|full|STAGE=on,…", default_value_t)]
+    plan: PlanSwitch,
+
     /// Print what comes into view, stops, leaves, and what is said, a line each
     #[arg(long)]
     events: bool,
@@ -100,7 +105,10 @@ pub struct Headless {
 const HEADLESS_EXAMPLES: &str = "Examples:
   eyeline-client headless --connect 127.0.0.1:4433 --fingerprint 11c4…d6b9 --seconds 10
   eyeline-client headless --connect example.org:4433 --ca authority.pem --token anna.token --cache /tmp/models
-  eyeline-client headless --server-file ready.txt --world rooms.glb --frame-hz 10";
+  eyeline-client headless --server-file ready.txt --world rooms.glb --frame-hz 10
+
+  With nothing left out, to see what that costs:
+  eyeline-client headless --server-file ready.txt --plan full";
 
 /// Runs `headless`.
 ///
@@ -116,6 +124,7 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
         let config = SessionConfig::default()
             .with_name(options.name.clone())
             .with_token(options.target.token()?)
+            .with_plan(options.plan)
             .with_tracker(TrackerConfig::default().with_frame(period));
         let config = if options.events { config.with_watch() } else { config };
         let config = if options.fly.is_some() { config.with_role(Role::Viewer) } else { config };
@@ -133,6 +142,7 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
             f64::from(welcome.tick_micros) / 1e3,
         ));
         let mut second = Second::default();
+        let mut leaves_out = String::new();
         let on_frame = Box::new(|session: &mut Session, report: &crate::net::FrameReport| {
             second.add(report.cull + report.track);
             while let Some(event) = session.poll_event() {
@@ -142,6 +152,12 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
             }
             // A frame count, not a clock: a line stands for a second's frames.
             if second.frames >= options.frame_hz.ceil() as u32 {
+                // What moves comes and goes: the plan is told anew when it has changed.
+                let plan = crate::plan::plan(Vec::new(), Some(session), 0);
+                if plan.short() != leaves_out {
+                    leaves_out = plan.short();
+                    tracing::info!(plan = %leaves_out);
+                }
                 print(&second.line(session));
             }
         });

@@ -44,6 +44,7 @@ pub mod clock;
 pub mod net;
 #[cfg(feature = "net")]
 pub mod operate;
+pub mod plan;
 pub mod session;
 #[cfg(feature = "net")]
 mod target;

@@ -6,10 +6,10 @@ use std::time::Duration;
 use eyeline_protocol::codec::{self, DatagramWriter, DecodeError};
 use eyeline_protocol::{
     Arrival, ClientControl, ClientEntry, ClientHeader, ClientRecord, Command, Continuity, Hold, Interest, Link,
-    LinkHeader, LocalTime, ObjectId, Orientation, PAYLOAD_BYTES_MAX, Position, Prediction, Refusal, Resume, Role,
-    ServerControl, ServerRecord, VERSION, Welcome, WorldTime,
+    LinkHeader, LocalTime, ObjectId, Orientation, PAYLOAD_BYTES_MAX, PlanLine, PlanSwitch, Position, Prediction,
+    Refusal, Resume, Role, ServerControl, ServerRecord, Stage, VERSION, Welcome, WorldTime,
 };
-use eyeline_visibility::{DynamicIndex, Occlusion};
+use eyeline_visibility::{DynamicIndex, NothingHidden, Occlusion};
 
 mod names;
 mod watch;
@@ -19,7 +19,7 @@ use names::Names;
 use watch::Watch;
 
 use crate::clock::{Clock, DRIFT, Monotonic};
-use crate::tracking::{Ahead, Sabotage, Tracker, TrackerConfig};
+use crate::tracking::{Ahead, Past, Sabotage, Tracker, TrackerConfig};
 
 /// Settings of a [`Session`].
 #[derive(Clone, Debug)]
@@ -43,6 +43,8 @@ pub struct SessionConfig {
     pub tracker: TrackerConfig,
     /// Whether [`Session::take_states_received`] has something to take; default false. Who sets it must take.
     pub record_states: bool,
+    /// What is asked of the client's plan; default as counted.
+    pub plan: PlanSwitch,
 }
 
 impl Default for SessionConfig {
@@ -57,6 +59,7 @@ impl Default for SessionConfig {
             names: false,
             tracker: TrackerConfig::default(),
             record_states: false,
+            plan: PlanSwitch::AUTO,
         }
     }
 }
@@ -100,6 +103,11 @@ impl SessionConfig {
     /// Keeps which states arrive, for [`Session::take_states_received`].
     pub fn with_record_states(self) -> SessionConfig {
         SessionConfig { record_states: true, ..self }
+    }
+
+    /// Sets what is asked of the client's plan.
+    pub fn with_plan(self, plan: PlanSwitch) -> SessionConfig {
+        SessionConfig { plan, ..self }
     }
 
     /// Sets the tracker's settings.
@@ -239,7 +247,12 @@ pub struct Session {
     monotonic: Monotonic,
     /// The first of our datagrams that left after the newest jump of our clock: only these tell a round trip.
     probes_from: u32,
+    /// None until there is something to track (DESIGN.md §8), unless the plan is forced.
     tracker: Option<Tracker>,
+    /// T of the world's size, until there is a tracker to take it.
+    index: Option<Box<dyn DynamicIndex + Send>>,
+    /// Frames made without a tracker.
+    past: Past,
     welcome: Option<Box<Welcome>>,
     /// Whether we come back, and have not been welcomed yet.
     returns: bool,
@@ -284,6 +297,8 @@ impl Session {
             monotonic: Monotonic::default(),
             probes_from: 0,
             tracker: None,
+            index: None,
+            past: Past::default(),
             welcome: None,
             returns: false,
             objects_due: 0,
@@ -326,13 +341,14 @@ impl Session {
         match codec::decode_server_control(bytes) {
             Err(error) => self.events.push_back(Event::ServerFault(error)),
             Ok(ServerControl::Welcome(welcome)) => {
-                if self.welcome.is_some() && !std::mem::take(&mut self.returns) {
+                let was_in = self.welcome.is_some();
+                if was_in && !std::mem::take(&mut self.returns) {
                     return;
                 }
                 self.returns = false;
                 // Without a frame yet, say something: the clock needs a probe.
                 self.owes_ack = true;
-                if welcome.continuity == Continuity::Kept && self.tracker.is_some() {
+                if welcome.continuity == Continuity::Kept && was_in {
                     // All that we hold goes on to hold; where we are is said again.
                     self.poses_due = welcome.avatars.iter().map(|own| own.0).collect();
                     self.welcome = Some(welcome.clone());
@@ -344,21 +360,14 @@ impl Session {
                 let unsaid = std::mem::take(&mut self.unsaid);
                 self.events.extend(unsaid.into_iter().map(|message| Event::Unsaid(Box::new(message))));
                 (self.heard, self.moving_nodes) = (0, BTreeSet::new());
-                let tracker = Tracker::new(
-                    self.config.tracker.clone(),
-                    welcome.tracking,
-                    welcome.blur,
-                    welcome.classes.clone(),
-                    (self.make_index)(),
-                )
-                .with_dead_reckoning(welcome.dead_reckoning_px)
-                .with_tick(Duration::from_micros(u64::from(welcome.tick_micros)))
-                .with_answer_wait(micros(welcome.answer_micros));
-                self.tracker = Some(tracker);
+                (self.tracker, self.index, self.past) = (None, None, Past::default());
                 self.poses = welcome.avatars.iter().map(|&(id, at, turn)| (id, (at, turn))).collect();
                 self.poses_due.clear();
                 self.objects_due = welcome.objects;
                 self.welcome = Some(welcome.clone());
+                if self.config.plan.asked(Stage::Tracker) == Some(true) {
+                    self.need_tracker();
+                }
                 self.events.push_back(Event::Welcomed(welcome));
             }
             Ok(ServerControl::Refused { refusal, reason }) => self.events.push_back(Event::Refused { refusal, reason }),
@@ -372,10 +381,11 @@ impl Session {
                 if self.config.names {
                     entries.iter().for_each(|entry| self.names.hear(entry));
                 }
-                if let Some(tracker) = &mut self.tracker {
-                    // Everybody is told of everybody who comes, us included.
-                    let own = self.welcome.as_ref().map_or(&[][..], |welcome| &welcome.avatars);
-                    for entry in entries.iter().filter(|entry| !own.iter().any(|own| own.0 == entry.object)) {
+                // Everybody is told of everybody who comes, us included.
+                for entry in &entries {
+                    if !self.is_own_avatar(entry.object)
+                        && let Some(tracker) = self.need_tracker()
+                    {
                         tracker.handle_roster(entry, tick);
                     }
                 }
@@ -415,6 +425,49 @@ impl Session {
         }
     }
 
+    /// The tracker, which is made now if there is none: there is something to track. None before the welcome, and where the plan
+    /// is forced to do without.
+    fn need_tracker(&mut self) -> Option<&mut Tracker> {
+        let welcome = self.welcome.as_deref()?;
+        if self.tracker.is_none() && self.config.plan.runs(Stage::Tracker, true) {
+            let index = self.index.take().unwrap_or_else(|| (self.make_index)());
+            let mut config = self.config.tracker.clone();
+            config.exact &= self.config.plan.runs(Stage::Exact, true);
+            let mut tracker = Tracker::new(config, welcome.tracking, welcome.blur, welcome.classes.clone(), index)
+                .with_dead_reckoning(welcome.dead_reckoning_px)
+                .with_tick(Duration::from_micros(u64::from(welcome.tick_micros)))
+                .with_answer_wait(micros(welcome.answer_micros))
+                .with_past(self.past);
+            if let Some(heard_at) = self.past.heard_at {
+                tracker.handle_path(self.link.round_trip_max(), self.link.timeout(), heard_at);
+            }
+            self.tracker = Some(tracker);
+        }
+        self.tracker.as_mut()
+    }
+
+    /// Whether anything is tracked, so that somebody must find out what hides it. While nothing is, a frame may be made with
+    /// [`Session::frame_alone`].
+    pub fn tracks(&self) -> bool {
+        let is_forced = self.config.plan.asked(Stage::Tracker) == Some(true);
+        self.tracker.as_ref().is_some_and(|tracker| is_forced || !tracker.is_empty())
+    }
+
+    /// Whether this client looks at anything at all; one that only moves avatars does not.
+    pub fn looks(&self) -> bool {
+        !matches!(self.config.role, Role::Actor { .. })
+    }
+
+    /// What is asked of the plan.
+    pub fn plan_switch(&self) -> PlanSwitch {
+        self.config.plan
+    }
+
+    /// Lines of the plan that are the session's to decide: tracker, looking again, exact validity.
+    pub fn plan_lines(&self, still_frames: u64) -> Vec<PlanLine> {
+        crate::plan::tracking_lines(self, still_frames)
+    }
+
     fn is_own_avatar(&self, object: ObjectId) -> bool {
         self.welcome.as_ref().is_some_and(|welcome| welcome.avatars.iter().any(|own| own.0 == object))
     }
@@ -423,7 +476,7 @@ impl Session {
     /// goes on to hold if the server remembers us, which its welcome says.
     pub fn reconnect(&mut self) {
         let resume = self.welcome.as_ref().map(|welcome| {
-            let has_all = self.objects_due == 0 && self.tracker.is_some();
+            let has_all = self.objects_due == 0;
             Resume { token: welcome.resume, heard: has_all.then_some(self.heard) }
         });
         self.returns = true;
@@ -499,7 +552,9 @@ impl Session {
     /// One datagram. With the newest frame's `occlusion` answers are acted on at once.
     pub fn handle_datagram(&mut self, bytes: &[u8], occlusion: Option<&dyn Occlusion>, now: LocalTime) {
         let now = self.own_time(now);
-        let Some(tracker) = &mut self.tracker else { return };
+        if self.welcome.is_none() {
+            return;
+        }
         let (header, records) = match codec::decode_server_datagram(bytes) {
             Ok(datagram) => datagram,
             Err(_) => {
@@ -509,9 +564,12 @@ impl Session {
         };
         self.stats.datagrams_in += 1;
         let sent_at = self.link.sent_at(header.link.ack);
+        let mut tracker = self.tracker.as_mut();
         let heard = |questions| {
             for (object, number) in questions {
-                tracker.handle_heard(object, number);
+                if let Some(tracker) = &mut tracker {
+                    tracker.handle_heard(object, number);
+                }
             }
         };
         if self.link.receive(&header.link, now, heard, |_| ()) == Arrival::Stale {
@@ -535,14 +593,20 @@ impl Session {
                 self.clock.freeze(now);
             }
         }
-        tracker.handle_path(self.link.round_trip_max(), self.link.timeout(), now);
+        self.past.heard_at = Some(now);
+        if let Some(tracker) = &mut self.tracker {
+            tracker.handle_path(self.link.round_trip_max(), self.link.timeout(), now);
+        }
         self.stats.records_in += records.len() as u64;
+        // Records may overtake the roster that names their object: whatever is told of is to be tracked.
+        let record_states = self.config.record_states;
         for record in records {
+            if let (ServerRecord::State { object, .. }, true) = (&record, record_states) {
+                self.states_received.push(*object);
+            }
+            let Some(tracker) = self.need_tracker() else { continue };
             match record {
                 ServerRecord::State { object, position, orientation, velocity } => {
-                    if self.config.record_states {
-                        self.states_received.push(object);
-                    }
                     let state = Prediction { position, velocity, orientation, tick: header.tick };
                     tracker.handle_state(object, state, occlusion, now);
                 }
@@ -613,7 +677,11 @@ impl Session {
         self.shown = shown;
         // Who says nothing for long is told nothing, and hears of nothing that it could acknowledge.
         self.owes_ack |= self.said_at.is_none_or(|at| now.since(at) >= SAY_SOMETHING);
-        let tracker = self.tracker.as_mut()?;
+        let Some(tracker) = &mut self.tracker else {
+            self.welcome.as_ref()?;
+            self.past.frame(latest, ahead);
+            return Some(FrameTime { latest, shown });
+        };
         tracker.frame(latest, ahead, occlusion, now);
         if self.config.watch {
             let tick = self.welcome.as_ref().map_or(0, |welcome| welcome.tick_micros);
@@ -622,6 +690,12 @@ impl Session {
             self.watch.frame(tracker, Duration::from_micros(u64::from(tick)), &mut self.events);
         }
         Some(FrameTime { latest, shown })
+    }
+
+    /// A frame while nothing is tracked: time goes on, and nobody needs to know what hides things.
+    pub fn frame_alone(&mut self, ahead: Ahead, now: LocalTime) -> Option<FrameTime> {
+        debug_assert!(!self.tracks(), "what is tracked must be looked at");
+        self.frame(ahead, &NothingHidden, now)
     }
 
     /// The next bytes for the control stream, prefix included.
@@ -642,8 +716,9 @@ impl Session {
     /// The next datagram of at most `limit` bytes.
     pub fn poll_datagram(&mut self, limit: usize, now: LocalTime) -> Option<Vec<u8>> {
         let now = self.own_time(now);
-        let tracker = self.tracker.as_mut()?;
-        let mut next = self.held_back.take().or_else(|| tracker.poll_record(now));
+        self.welcome.as_ref()?;
+        let poll = |tracker: &mut Option<Tracker>| tracker.as_mut()?.poll_record(now);
+        let mut next = self.held_back.take().or_else(|| poll(&mut self.tracker));
         if next.is_none() && self.poses_due.is_empty() && self.eye_due.is_none() && !self.owes_ack {
             return None;
         }
@@ -679,12 +754,12 @@ impl Session {
                 break;
             }
             if let ClientRecord::Request { object, .. } = record
-                && let Some(number) = tracker.ask_number(object)
+                && let Some(number) = self.tracker.as_ref().and_then(|tracker| tracker.ask_number(object))
             {
                 questions.push((object, number));
             }
             records.push(record);
-            next = tracker.poll_record(now);
+            next = poll(&mut self.tracker);
         }
         if records.is_empty() && !owed_ack {
             // Nothing that is to be said fits: to go on would be to go on for ever.
@@ -726,12 +801,13 @@ impl Session {
 
     /// Replaces the tracker's T, once the world's size is known. Without this bounds outside the first T's box cost more.
     pub fn use_index(&mut self, index: Box<dyn DynamicIndex + Send>) {
-        if let Some(tracker) = &mut self.tracker {
-            tracker.use_index(index);
+        match &mut self.tracker {
+            Some(tracker) => tracker.use_index(index),
+            None => self.index = Some(index),
         }
     }
 
-    /// Beliefs, once the server has let us in.
+    /// Beliefs, once there is something to believe anything of.
     pub fn tracker(&self) -> Option<&Tracker> {
         self.tracker.as_ref()
     }

@@ -56,6 +56,7 @@ mod link;
 mod message;
 mod motion;
 mod people;
+mod plan;
 mod position;
 mod tbv;
 mod time;
@@ -71,6 +72,7 @@ pub use message::{
 };
 pub use motion::{Extent, MotionBound};
 pub use people::{ClientEntry, Command, Continuity, Hold, PAYLOAD_BYTES_MAX, Rank, Resume, TEXT_BYTES_MAX};
+pub use plan::{Plan, PlanLine, PlanSwitch, PlanSwitchError, Stage};
 pub use position::{METRES_MAX, Orientation, OutOfRange, Position, QUANTUM_METRES};
 pub use tbv::Tbv;
 pub use time::{LocalTime, WorldTime};

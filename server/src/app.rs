@@ -83,6 +83,10 @@ pub fn serve(options: &ServeOptions, mut model: Model, notes: &[String]) -> anyh
         let _ = writeln!(text, "listening    {address} (QUIC over UDP); Ctrl-C ends it");
         let _ = writeln!(text, "fingerprint  {fingerprint}");
         let handle = server.handle();
+        let plan = handle.with_world(|world| crate::plan::plan(world));
+        for line in &plan.lines {
+            tracing::info!(stage = line.stage.name(), "{}: {}", line.verdict(), line.evidence);
+        }
         if let Some(watch) = &watch {
             watch.attach(&handle);
             let _ = writeln!(text, "watched      http://{}/metrics, /healthz, /readyz", watch.local_addr());

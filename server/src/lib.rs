@@ -67,6 +67,7 @@ pub mod model;
 #[cfg(feature = "net")]
 pub mod net;
 pub mod path;
+pub mod plan;
 pub mod policy;
 pub mod spec;
 pub mod spring;

@@ -8,6 +8,7 @@ pub mod measure;
 pub mod motion;
 pub mod people;
 pub mod places;
+pub mod plan;
 mod quic_net;
 pub mod relay;
 pub mod report;

@@ -90,6 +90,8 @@ pub struct Person {
     /// One for the region, or one for each of its sampled eyes.
     scratches: Vec<AllRoundScratch>,
     has_culled: bool,
+    /// Whether an eye that stands still is culled for again.
+    looks_again: bool,
     /// Where anybody looks, if not all round.
     wedge: Option<Wedge>,
     hook: Option<FrameHook>,
@@ -116,6 +118,7 @@ impl Person {
             all_round: ground.all_round.clone(),
             scratches: vec![ground.all_round.scratch(side)],
             has_culled: false,
+            looks_again: false,
             wedge: None,
             hook,
         }
@@ -129,6 +132,7 @@ impl Person {
 
     /// Moves on to `now` and says where the avatar is.
     pub fn advance(&mut self, session: &Session, now: LocalTime) -> Option<Pose> {
+        self.looks_again = session.plan_switch().runs(eyeline_protocol::Stage::LookAgain, false);
         if self.mover.is_none() {
             let (object, position, _) = *session.welcome()?.avatars.first()?;
             let feet = self.anchor + position.metres();
@@ -160,6 +164,13 @@ impl Occlusion for Person {
         self.wedge.is_some_and(|wedge| wedge.excludes(around))
             || self.scratches.iter().all(|scratch| scratch.occlusion().hides_group(around))
     }
+
+    fn version(&self) -> Option<u64> {
+        match (&self.scratches[..], self.wedge) {
+            ([one], None) => one.occlusion().version(),
+            _ => None,
+        }
+    }
 }
 
 impl Driver for Person {
@@ -178,7 +189,10 @@ impl Driver for Person {
                 _ => EyeRegion::point(centre + DVec3::new(turn.cos(), 0.0, turn.sin()) * ahead.eye_radius),
             };
             // Only an eye or radius that is no number is refused.
-            self.has_culled = self.all_round.cull(region, scratch).is_ok();
+            self.has_culled = match self.looks_again {
+                true => self.all_round.cull(region, scratch).is_ok(),
+                false => self.all_round.look(region, scratch).is_ok(),
+            };
         }
         let region = EyeRegion { centre, radius: ahead.eye_radius };
         self.wedge = ahead.turn.map(|turn| Wedge::new(region, self.pose.yaw, 0.5 * FOV + turn));

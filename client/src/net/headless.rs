@@ -45,7 +45,8 @@ pub trait Driver {
     /// Moves on to `now` and says where the avatars are.
     fn poses(&mut self, session: &Session, now: LocalTime) -> Vec<Pose>;
 
-    /// Culls from every eye that the present one can reach within the lead. Called once a frame, after [`Driver::poses`].
+    /// Culls from every eye that the present one can reach within the lead. Called once a frame, after [`Driver::poses`], but
+    /// not while nothing is tracked ([`Session::tracks`]); then also when the first object is heard of between two frames.
     fn cull(&mut self, ahead: Ahead);
 
     /// What hides things, as of the newest [`Driver::cull`]; `None` if the client looks at nothing.
@@ -80,13 +81,21 @@ pub async fn run_headless(
     tokio::pin!(shutdown);
     let clock = connection.clock();
     let mut summary = Summary { next: first, ..Summary::default() };
+    // Whether the newest frame culled, and for which lead.
+    let (mut has_looked, mut ahead) = (true, Ahead::default());
     loop {
         let due = summary.next;
         tokio::select! {
             biased;
             () = &mut shutdown => return Ok(summary),
             arrival = connection.arrive() => {
-                match (arrival?, driver.occlusion()) {
+                let arrival = arrival?;
+                if !has_looked && connection.session.tracks() {
+                    // As if the frame had culled: who has just come may be in sight.
+                    driver.cull(ahead);
+                    has_looked = true;
+                }
+                match (arrival, driver.occlusion().filter(|_| has_looked)) {
                     (Arrival::Datagram(bytes), occlusion) => {
                         connection.session.handle_datagram(&bytes, occlusion, clock.now());
                     }
@@ -102,11 +111,17 @@ pub async fn run_headless(
                     connection.session.set_pose(pose.object, pose.position, pose.orientation);
                 }
                 let started = Instant::now();
-                let ahead = connection.session.ahead();
-                driver.cull(ahead);
+                ahead = connection.session.ahead();
+                has_looked = connection.session.tracks() || !connection.session.looks();
+                if has_looked {
+                    driver.cull(ahead);
+                }
                 let cull = started.elapsed();
                 let started = Instant::now();
-                let time = driver.occlusion().and_then(|occlusion| connection.session.frame(ahead, occlusion, now));
+                let time = match has_looked {
+                    true => driver.occlusion().and_then(|occlusion| connection.session.frame(ahead, occlusion, now)),
+                    false => connection.session.frame_alone(ahead, now),
+                };
                 let Summary { frames, skipped, .. } = summary;
                 let report =
                     FrameReport { frame: frames, began: now, time, cull, track: started.elapsed(), late, skipped };

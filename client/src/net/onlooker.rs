@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use eyeline_protocol::{LocalTime, ObjectId, Orientation, Position, Welcome};
+use eyeline_protocol::{LocalTime, ObjectId, Orientation, Position, Stage, Welcome};
 use eyeline_visibility::{AllRound, AllRoundScratch, EyeRegion, Occlusion, Scene};
 use glam::DVec3;
 
@@ -26,8 +26,9 @@ pub struct Onlooker<'a> {
     yaw: f64,
     all_round: Arc<AllRound>,
     scratch: AllRoundScratch,
-    /// Radius of the region that was culled from.
-    culled: Option<f64>,
+    is_culled: bool,
+    /// Whether an eye that stands still is culled for again.
+    looks_again: bool,
     on_frame: OnFrame<'a>,
 }
 
@@ -57,27 +58,29 @@ impl<'a> Onlooker<'a> {
     ) -> Onlooker<'a> {
         let all_round = Arc::new(AllRound::new(scene));
         let scratch = all_round.scratch(side);
-        Onlooker { object, position, eye, yaw: 0.0, scratch, all_round, culled: None, on_frame }
+        Onlooker { object, position, eye, yaw: 0.0, scratch, all_round, is_culled: false, looks_again: false, on_frame }
     }
 }
 
 impl Driver for Onlooker<'_> {
-    fn poses(&mut self, _: &Session, now: LocalTime) -> Vec<Pose> {
+    fn poses(&mut self, session: &Session, now: LocalTime) -> Vec<Pose> {
+        self.looks_again = session.plan_switch().runs(Stage::LookAgain, false);
         self.yaw = (now.seconds_since(LocalTime::ZERO) * TURN_RATE).rem_euclid(TAU);
         let orientation = Orientation::from_yaw(self.yaw);
         self.object.map(|object| Pose { object, position: self.position, orientation }).into_iter().collect()
     }
 
     fn cull(&mut self, ahead: Ahead) {
+        let region = EyeRegion { centre: self.eye, radius: ahead.eye_radius };
         // Who never moves need not look twice.
-        if self.culled != Some(ahead.eye_radius) {
-            let region = EyeRegion { centre: self.eye, radius: ahead.eye_radius };
-            self.culled = self.all_round.cull(region, &mut self.scratch).is_ok().then_some(ahead.eye_radius);
-        }
+        self.is_culled = match self.looks_again {
+            true => self.all_round.cull(region, &mut self.scratch).is_ok(),
+            false => self.all_round.look(region, &mut self.scratch).is_ok(),
+        };
     }
 
     fn occlusion(&self) -> Option<&dyn Occlusion> {
-        self.culled.map(|_| self.scratch.occlusion() as &dyn Occlusion)
+        self.is_culled.then(|| self.scratch.occlusion() as &dyn Occlusion)
     }
 
     fn frame_done(&mut self, session: &mut Session, report: &FrameReport) {

@@ -73,6 +73,9 @@ pub struct TrackerConfig {
     pub staged: bool,
     /// How far ahead visibility is asked about; default not at all. Longer costs culling and messages.
     pub lead: Lead,
+    /// Whether an eye that stands still finds the exact moment until which a bound is hidden, by doubling and bisection
+    /// (§3.4), instead of looking again at the end of each stage; default true. Says nothing else and nothing earlier.
+    pub exact: bool,
     /// Deliberate damage; default none.
     pub sabotage: Option<Sabotage>,
 }
@@ -86,6 +89,7 @@ impl Default for TrackerConfig {
             linger_frames: 2,
             staged: true,
             lead: Lead::None,
+            exact: true,
             sabotage: None,
         }
     }
@@ -115,6 +119,11 @@ impl TrackerConfig {
     /// Sets how far ahead visibility is asked about.
     pub fn with_lead(self, lead: Lead) -> TrackerConfig {
         TrackerConfig { lead, ..self }
+    }
+
+    /// Sets whether a still eye finds exact moments.
+    pub fn with_exact(self, exact: bool) -> TrackerConfig {
+        TrackerConfig { exact, ..self }
     }
 
     /// Damages the tracker.

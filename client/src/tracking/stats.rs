@@ -5,6 +5,8 @@
 pub struct TrackerStats {
     /// Frames.
     pub frames: u64,
+    /// Of these, those with the same occlusion as the frame before: the eye stood still.
+    pub still_frames: u64,
     /// Bounds that were tested against an occlusion, and nodes of T visited.
     pub work: u64,
     /// Bounds that became visible and cost a request.

@@ -12,7 +12,9 @@ use glam::DVec3;
 use rustc_hash::FxHashMap;
 
 use super::dead_reckoning;
-use super::{Ahead, BeliefKind, Decision, ExpiryQueue, Explanation, Growth, Sabotage, TrackerConfig, TrackerStats};
+use super::{
+    Ahead, BeliefKind, Decision, ExpiryQueue, Explanation, Growth, Past, Sabotage, TrackerConfig, TrackerStats,
+};
 
 /// Something that the client shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -135,6 +137,9 @@ pub struct Tracker {
     expired: Vec<ObjectId>,
     /// Latest possible server time at the newest frame.
     latest: WorldTime,
+    /// What the newest frame's occlusion says that it is, and whether it is that of the frame before.
+    version: Option<u64>,
+    is_still: bool,
     /// Until when what is held hidden must be: that and the lead.
     horizon: WorldTime,
     /// The newest frame's lead.
@@ -181,6 +186,8 @@ impl Tracker {
             exposed: Vec::new(),
             expired: Vec::new(),
             latest: WorldTime::MIN,
+            version: None,
+            is_still: false,
             horizon: WorldTime::MIN,
             ahead: Ahead::default(),
             heard_at: None,
@@ -196,6 +203,25 @@ impl Tracker {
     /// Takes the welcome's word for how wrong what is drawn may be.
     pub fn with_dead_reckoning(self, allowed_px: Option<f64>) -> Tracker {
         Tracker { tolerance: dead_reckoning::tolerance(allowed_px), ..self }
+    }
+
+    /// Goes on from frames that were made without it.
+    pub(crate) fn with_past(mut self, past: Past) -> Tracker {
+        self.stats.frames = past.frames;
+        (self.latest, self.horizon, self.ahead) = (past.latest, past.horizon, past.ahead);
+        self
+    }
+
+    /// How many of the objects that are held hidden can never come into view of the present eye while it stands still: what
+    /// bounds them is hidden for longer than any bound holds.
+    pub fn never_seen(&self) -> usize {
+        let never = Decision::Hidden { frames: EXACT_FRAMES_MAX };
+        self.entries.values().filter(|entry| entry.due.is_some() && entry.decision.0 == never).count()
+    }
+
+    /// Whether it knows of no object.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty() && self.early.is_empty()
     }
 
     /// Sets the welcome's time between ticks, before which no change is told.
@@ -511,6 +537,10 @@ impl Tracker {
         self.latest = self.latest.max(latest);
         self.ahead = ahead;
         self.horizon = self.horizon.max(self.latest + ahead.time);
+        let version = occlusion.version();
+        self.is_still = version.is_some() && version == self.version;
+        self.version = version;
+        self.stats.still_frames += u64::from(self.is_still);
         self.is_cut_off = self.heard_at.is_some_and(|at| now.since(at) > STALENESS_MAX);
         self.ask_again(now);
         if !self.tracking {
@@ -720,7 +750,20 @@ impl Tracker {
             return self.expose(object, tbv);
         }
         let mut frames = entry.stage_frames;
-        loop {
+        if self.is_still && self.config.exact {
+            let end_of =
+                |frames: u32| horizon.offset_micros(frame_micros.saturating_mul(i64::from(frames))).min(fixed_expiry);
+            let exact = longest_hidden(frames, |frames| hidden(bound_at(end_of(frames))));
+            if exact > 0 {
+                let end = end_of(exact);
+                entry.stage_frames = exact.min(self.config.stage_frames_max);
+                entry.decision = (Decision::Hidden { frames: exact }, self.latest);
+                self.stats.work += tested;
+                return self.keep(object, bound_at(end), end);
+            }
+            frames = 0;
+        }
+        while frames > 0 {
             let end = horizon.offset_micros(frame_micros.saturating_mul(i64::from(frames))).min(fixed_expiry);
             let grown = bound_at(end);
             if hidden(grown) {
@@ -728,9 +771,6 @@ impl Tracker {
                 entry.decision = (Decision::Hidden { frames }, self.latest);
                 self.stats.work += tested;
                 return self.keep(object, grown, end);
-            }
-            if frames == 1 {
-                break;
             }
             frames /= 2;
         }
@@ -967,6 +1007,29 @@ impl Tracker {
         assert_eq!(self.queue.len(), in_queue, "Q holds what no entry does");
         assert!(self.index.len() <= self.queue.len(), "T holds what Q does not");
     }
+}
+
+/// The most frames that a still eye looks ahead: an hour at 20 a second, for which bounds hold.
+const EXACT_FRAMES_MAX: u32 = 1 << 16;
+
+/// For how many frames from now a bound stays hidden, found by doubling from a guess and bisection (§3.4); 0 if not for one.
+fn longest_hidden(guess: u32, mut hidden: impl FnMut(u32) -> bool) -> u32 {
+    let (mut unseen, mut next) = (0, guess.max(1));
+    let mut seen = loop {
+        if !hidden(next) {
+            break next;
+        }
+        if next >= EXACT_FRAMES_MAX {
+            return next;
+        }
+        unseen = next;
+        next *= 2;
+    };
+    while seen - unseen > 1 {
+        let middle = unseen + (seen - unseen) / 2;
+        if hidden(middle) { unseen = middle } else { seen = middle }
+    }
+    unseen
 }
 
 /// The upright cylinder of an object whose reference point is within `reach` of `centre`. One part in 10⁹ and a micrometre

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use eyeline_protocol::{LocalTime, ObjectId, Orientation, Position, Role, Welcome};
+use eyeline_protocol::{LocalTime, ObjectId, Orientation, PlanSwitch, Position, Role, Stage, Welcome};
 use eyeline_visibility::{AllRound, AllRoundScratch, Bound, DynamicOctree, EyeRegion, Occlusion, Scene};
 use glam::{DQuat, DVec3};
 
@@ -35,6 +35,8 @@ pub struct OnlineOptions {
     pub frame_hz: f64,
     /// Pixels a side of the six images that decide what is hidden.
     pub side: u32,
+    /// What is asked of the plan.
+    pub plan: PlanSwitch,
 }
 
 /// An object in sight.
@@ -193,6 +195,7 @@ fn run(options: &OnlineOptions, told: &Told, stopped: tokio::sync::oneshot::Rece
             .with_name(options.name.clone())
             .with_token(options.target.token()?)
             .with_names()
+            .with_plan(options.plan)
             .with_tracker(TrackerConfig::default().with_frame(period));
         let config = if options.fly.is_some() { config.with_role(Role::Viewer) } else { config };
         let everywhere = || Box::new(DynamicOctree::new(eyeline_visibility::Aabb::EMPTY)) as _;
@@ -214,8 +217,15 @@ fn run(options: &OnlineOptions, told: &Told, stopped: tokio::sync::oneshot::Rece
         let wish = Wish { eye, yaw, wants_hidden: false };
         let shared = Arc::new(Mutex::new(Shared { wish, news: News::default() }));
         let scratch = all_round.scratch(options.side);
-        let mut eyes =
-            Eyes { me, all_round, scratch, ahead: Ahead::default(), is_culled: false, shared: Arc::clone(&shared) };
+        let mut eyes = Eyes {
+            me,
+            all_round,
+            scratch,
+            ahead: Ahead::default(),
+            is_culled: false,
+            looks_again: options.plan.runs(Stage::LookAgain, false),
+            shared: Arc::clone(&shared),
+        };
         if told.send(Ok(Ready { model, welcome, eye, yaw, shared: Arc::clone(&shared) })).is_err() {
             return Ok(());
         }
@@ -263,6 +273,7 @@ struct Eyes {
     scratch: AllRoundScratch,
     ahead: Ahead,
     is_culled: bool,
+    looks_again: bool,
     shared: Arc<Mutex<Shared>>,
 }
 
@@ -280,7 +291,10 @@ impl Driver for Eyes {
     fn cull(&mut self, ahead: Ahead) {
         self.ahead = ahead;
         let region = EyeRegion { centre: self.me.eye, radius: ahead.eye_radius };
-        self.is_culled = self.all_round.cull(region, &mut self.scratch).is_ok();
+        self.is_culled = match self.looks_again {
+            true => self.all_round.cull(region, &mut self.scratch).is_ok(),
+            false => self.all_round.look(region, &mut self.scratch).is_ok(),
+        };
     }
 
     fn occlusion(&self) -> Option<&dyn Occlusion> {
@@ -295,12 +309,13 @@ impl Driver for Eyes {
         }
         // Events are of no use here, and would pile up.
         while session.poll_event().is_some() {}
-        let (Some(tracker), Some(time)) = (session.tracker(), report.time) else { return };
+        let Some(time) = report.time else { return };
+        let tracker = session.tracker();
         let mut shared = lock(&self.shared);
         let wants_hidden = shared.wish.wants_hidden;
         let news = &mut shared.news;
         news.seen.clear();
-        news.seen.extend(tracker.drawn().map(|drawn| Seen {
+        news.seen.extend(tracker.into_iter().flat_map(|tracker| tracker.drawn()).map(|drawn| Seen {
             object: drawn.object,
             position: drawn.position.metres(),
             velocity: drawn.velocity.metres(),
@@ -316,7 +331,7 @@ impl Driver for Eyes {
         news.hidden.clear();
         if wants_hidden {
             news.hidden.extend(session.roster().filter_map(|(object, _)| {
-                let explained = tracker.explain(object).filter(|explained| explained.belief == BeliefKind::Hidden)?;
+                let explained = tracker?.explain(object).filter(|explained| explained.belief == BeliefKind::Hidden)?;
                 let tbv = explained.tbv?;
                 Some(HiddenBound {
                     centre: tbv.centre.metres(),
@@ -328,7 +343,7 @@ impl Driver for Eyes {
         }
         let stats = session.stats();
         news.numbers = Numbers {
-            counts: tracker.counts(),
+            counts: tracker.map_or((0, 0, 0), |tracker| tracker.counts()),
             messages: (stats.records_in, stats.records_out),
             took: (report.cull, report.track),
             round_trip: session.round_trip().map(|(smoothed, _)| smoothed),

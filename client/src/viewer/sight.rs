@@ -2,13 +2,20 @@
 
 use std::sync::Arc;
 
+use eyeline_protocol::PlanSwitch;
 use eyeline_visibility::{
-    CplpCuller, Culled, Culler, EyeRegion, FrustumBackface, MaskedCplp, RegionCuller, Scene, Scratch, View, ZBuffer,
+    CplpCuller, Culled, Culler, EyeRegion, FrustumBackface, MaskedCplp, Planned, RegionCuller, Scene, SceneCounts,
+    Scratch, View, ZBuffer, count_storeys,
 };
+
+use crate::plan;
 
 /// A culler, by its name on the command line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum CullerKind {
+    /// What pays in this scene, counted while it runs: everything, the frustum, or the fastest
+    #[default]
+    Plan,
     /// Nothing: everything is drawn
     All,
     /// What is in view and not turned away
@@ -16,7 +23,6 @@ pub enum CullerKind {
     /// cPLP over octree cells with a sampled depth buffer
     Cplp,
     /// cPLP by queries of faces against coverage masks, the fastest
-    #[default]
     Masked,
     /// For every eye of a ball and at every resolution
     Region,
@@ -24,33 +30,78 @@ pub enum CullerKind {
 
 /// A culler at work. The viewer draws what it says and never decides itself.
 pub struct Sight {
-    culler: Box<dyn Culler + Send + Sync>,
+    way: Way,
     scratch: Scratch,
     culled: Culled,
+}
+
+/// Who decides.
+enum Way {
+    Fixed(Box<dyn Culler + Send + Sync>),
+    /// The plan of a scene, as soon as it is known from where one looks.
+    Planned {
+        scene: Arc<Scene>,
+        switch: PlanSwitch,
+        planned: Option<Box<Planned>>,
+        turns: u64,
+    },
 }
 
 impl Sight {
     /// Prepares a culler for a scene, which may take seconds for a large one.
     pub fn new(kind: CullerKind, scene: &Arc<Scene>) -> Sight {
+        Sight::with_plan(kind, scene, PlanSwitch::AUTO)
+    }
+
+    /// The same with what is asked of the plan, if a plan is followed.
+    pub fn with_plan(kind: CullerKind, scene: &Arc<Scene>, switch: PlanSwitch) -> Sight {
         let scene = Arc::clone(scene);
         let culler: Box<dyn Culler + Send + Sync> = match kind {
+            CullerKind::Plan => {
+                let way = Way::Planned { scene, switch, planned: None, turns: 0 };
+                return Sight { way, scratch: Scratch::default(), culled: Culled::default() };
+            }
             CullerKind::All => Box::new(ZBuffer::new(scene)),
             CullerKind::Frustum => Box::new(FrustumBackface::new(scene)),
             CullerKind::Cplp => Box::new(CplpCuller::build(scene)),
             CullerKind::Masked => Box::new(MaskedCplp::build(scene)),
             CullerKind::Region => Box::new(RegionCuller::build(scene)),
         };
-        Sight { culler, scratch: Scratch::default(), culled: Culled::default() }
+        Sight { way: Way::Fixed(culler), scratch: Scratch::default(), culled: Culled::default() }
     }
 
     /// Culls from a view's eye.
     pub fn look(&mut self, view: &View) -> &Culled {
-        self.culled = self.culler.cull(view, EyeRegion::point(view.eye), &mut self.scratch);
+        let region = EyeRegion::point(view.eye);
+        self.culled = match &mut self.way {
+            Way::Fixed(culler) => culler.cull(view, region, &mut self.scratch),
+            Way::Planned { scene, switch, planned, turns } => {
+                let planned = planned.get_or_insert_with(|| {
+                    let counts = SceneCounts::around(scene.clone(), view.eye);
+                    tell(*switch, &counts, scene);
+                    Box::new(plan::planned(counts, *switch))
+                });
+                let culled = planned.look(view, region);
+                if *turns != planned.stats().turns {
+                    *turns = planned.stats().turns;
+                    tracing::info!(drawing = ?planned.drawing(), newest = ?planned.stats().newest, "the plan is revised");
+                }
+                culled
+            }
+        };
         &self.culled
     }
 
     /// What the last look found.
     pub fn culled(&self) -> &Culled {
         &self.culled
+    }
+}
+
+/// Says in the log what is left out, a line a stage.
+fn tell(switch: PlanSwitch, counts: &SceneCounts, scene: &Scene) {
+    let lines = plan::drawing_lines(switch, &counts.counts, &count_storeys(scene));
+    for line in &lines {
+        tracing::info!(stage = line.stage.name(), "{}: {}", line.verdict(), line.evidence);
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
-use eyeline_protocol::Welcome;
+use eyeline_protocol::{PlanSwitch, Welcome};
 use eyeline_visibility::{LoadOptions, Resolution};
 use glam::DVec3;
 
@@ -54,6 +54,11 @@ pub struct ViewOptions {
     /// What decides what is drawn
     #[arg(long, value_enum, default_value_t)]
     culler: CullerKind,
+
+    /// What is left out with --culler plan and with a server: as counted (auto), nothing (full), or single stages on or off:
+    /// frustum, occlusion, prisms; tracker, look-again, exact
+    #[arg(long, value_name = "auto|full|STAGE=on,…", default_value_t)]
+    plan: PlanSwitch,
 
     /// What is drawn over the scene from the start
     #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',')]
@@ -140,7 +145,7 @@ fn alone(options: &ViewOptions) -> anyhow::Result<Viewing> {
     if let Some(look) = options.look {
         player.look_along(look - model.scene.anchor() - eye);
     }
-    Ok(Viewing::new(model, options.culler, player, None))
+    Ok(Viewing::new(model, options.culler, options.plan, player, None))
 }
 
 fn connected(options: &ViewOptions) -> anyhow::Result<Viewing> {
@@ -151,13 +156,14 @@ fn connected(options: &ViewOptions) -> anyhow::Result<Viewing> {
         fly: options.fly,
         frame_hz: 30.0,
         side: options.side,
+        plan: options.plan,
     })?;
     let Joined { online, model, welcome, eye, yaw } = joined;
     warn(&model);
     let mut player = Player::new(eye, yaw, Viewing::body(&welcome));
     player.speeds = speeds(&welcome, player.speeds);
     player.is_flying = options.fly.is_some();
-    let mut viewing = Viewing::new(model, options.culler, player, Some((online, welcome)));
+    let mut viewing = Viewing::new(model, options.culler, options.plan, player, Some((online, welcome)));
     viewing.may_fly = options.fly.is_some();
     Ok(viewing)
 }

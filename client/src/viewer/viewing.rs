@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
-use eyeline_protocol::{ObjectId, Welcome};
+use eyeline_protocol::{ObjectId, PlanSwitch, Welcome};
 use eyeline_visibility::{Resolution, View};
 use glam::{DQuat, DVec3, Vec2};
 
@@ -84,10 +84,16 @@ impl Seconds {
 
 impl Viewing {
     /// Looks at a model, connected or not.
-    pub fn new(model: Model, culler: CullerKind, player: Player, online: Option<(Online, Welcome)>) -> Viewing {
+    pub fn new(
+        model: Model,
+        culler: CullerKind,
+        plan: PlanSwitch,
+        player: Player,
+        online: Option<(Online, Welcome)>,
+    ) -> Viewing {
         Viewing {
             ground: Ground::new(&model.scene),
-            sight: Sight::new(culler, &model.scene),
+            sight: Sight::with_plan(culler, &model.scene, plan),
             inspector: Inspector::new(Arc::clone(&model.scene)),
             may_fly: online.is_none(),
             model,

@@ -21,6 +21,9 @@ pub struct AllRoundScratch {
     occlusion: UnderOcclusion,
     stack: Vec<u32>,
     stats: AllRoundStats,
+    /// From where the image was drawn; none before it was.
+    last: Option<EyeRegion>,
+    kept: u64,
 }
 
 /// Work done by one cull.
@@ -64,7 +67,24 @@ impl AllRound {
             occlusion: UnderOcclusion::all_round(Arc::clone(&self.occluders), side),
             stack: Vec::new(),
             stats: AllRoundStats::default(),
+            last: None,
+            kept: 0,
         }
+    }
+
+    /// The same as [`AllRound::cull`], but what was drawn from this very region is kept: an eye that stands still need not look
+    /// again.
+    pub fn look<'a>(
+        &self,
+        region: EyeRegion,
+        scratch: &'a mut AllRoundScratch,
+    ) -> Result<&'a UnderOcclusion, RegionError> {
+        assert!(Arc::ptr_eq(&self.occluders, scratch.occlusion.occluders()), "scratch was made for another scene");
+        if scratch.last == Some(region) {
+            scratch.kept += 1;
+            return Ok(&scratch.occlusion);
+        }
+        self.cull(region, scratch)
     }
 
     /// Draws what can be seen from `region`. The result hides only what is certainly hidden.
@@ -74,18 +94,20 @@ impl AllRound {
         scratch: &'a mut AllRoundScratch,
     ) -> Result<&'a UnderOcclusion, RegionError> {
         assert!(Arc::ptr_eq(&self.occluders, scratch.occlusion.occluders()), "scratch was made for another scene");
+        scratch.last = None;
         scratch.occlusion.start(region)?;
         scratch.stats = AllRoundStats::default();
         self.walk(region, scratch);
         let drawn = scratch.occlusion.stats();
         scratch.stats.polygons = drawn.polygons;
         scratch.stats.joints = drawn.joints;
+        scratch.last = Some(region);
         Ok(&scratch.occlusion)
     }
 
     fn walk(&self, region: EyeRegion, scratch: &mut AllRoundScratch) {
         let eye = region.centre;
-        let AllRoundScratch { occlusion, stack, stats } = scratch;
+        let AllRoundScratch { occlusion, stack, stats, .. } = scratch;
         let tree = &self.occluders.tree;
         let mut hidden = |occlusion: &UnderOcclusion, aabb: &Aabb| {
             let hidden = occlusion.covers(&Bound::Box(*aabb));
@@ -132,6 +154,11 @@ impl AllRoundScratch {
     /// What the last cull took.
     pub fn stats(&self) -> AllRoundStats {
         self.stats
+    }
+
+    /// How often [`AllRound::look`] found what was drawn before.
+    pub fn kept(&self) -> u64 {
+        self.kept
     }
 
     /// The last cull's occlusion.

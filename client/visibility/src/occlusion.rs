@@ -14,6 +14,12 @@ pub trait Occlusion {
         self.hides(around)
     }
 
+    /// A number that is another one whenever this may answer otherwise than before; none if that is not known. Of equal
+    /// numbers a tracker learns that its eye stands still (Sudarsky & Gotsman 1999, §3.4).
+    fn version(&self) -> Option<u64> {
+        None
+    }
+
     /// Outside of which box everything is hidden, if that is known: what does not touch it need not be asked about.
     fn open(&self) -> Option<Open> {
         None

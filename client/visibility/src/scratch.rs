@@ -203,7 +203,8 @@ impl Scratch {
 }
 
 /// The occlusion of an empty world without edges.
-struct NothingHidden;
+#[derive(Clone, Copy, Debug)]
+pub struct NothingHidden;
 
 impl Occlusion for NothingHidden {
     fn hides(&self, _: &Bound) -> bool {

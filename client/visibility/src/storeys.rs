@@ -3,7 +3,8 @@
 //! A *level* is a height at which much lies level: at least [`LEVEL_SHARE`] of what the largest level has, facing up (a floor)
 //! or down (a ceiling). A storey is a floor with the nearest ceiling at least [`HEIGHT_MIN`] above it. A scene of stairs,
 //! arches or terraces has such pairs by chance, so floors of storeys must also be at least half of all that faces up below the
-//! highest ceiling. Walls are upright triangles that reach over most of a storey's height: furniture is lower.
+//! highest ceiling; between a floor and its ceiling less may lie level than half of the floor (a gallery, a stair and a crate are
+//! not furniture); and at most a quarter of all area may be neither level nor upright (vaults, slopes). Walls are upright triangles that reach over most of a storey's height: furniture is lower.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -20,6 +21,11 @@ const COUNTED_SHARE: f64 = 0.05;
 const HEIGHT_MIN: f64 = 1.8;
 /// Share of all that faces up, below the highest ceiling, that storeys' floors must be.
 const FLOORS_SHARE: f64 = 0.5;
+/// Share of a floor that may lie level between it and its ceiling. Counted: `rooms`, `building` and `tower` have at most 0.09, a
+/// real building 0.25, each of three game maps a storey with 0.7 or more.
+const BETWEEN_SHARE: f64 = 0.5;
+/// Share of all area that may be neither level nor upright. Counted: those buildings have none, sponza 0.39.
+const SLANTED_SHARE: f64 = 0.25;
 /// Share of a storey's height that a wall reaches over.
 const WALL_SHARE: f64 = 0.75;
 /// Steps per metre of the grid that walls are snapped to.
@@ -46,6 +52,14 @@ struct Level {
     up: f64,
     down: f64,
     height: f64,
+}
+
+/// Number of storeys and of walls of a scene, or what was counted instead: what a plan says of prisms, without making them.
+///
+/// # Errors
+/// Says what was counted, where the scene is not made of storeys.
+pub fn count_storeys(scene: &Scene) -> Result<(usize, usize), String> {
+    Storeys::find(scene).map(|found| (found.count, found.walls.len()))
 }
 
 impl Storeys {
@@ -93,6 +107,27 @@ impl Storeys {
             );
             return Err(counted);
         }
+        for &[floor, ceiling] in &storeys {
+            let up = |from: f64, to: f64| -> f64 {
+                let here = levels.iter().filter(|level| level.height >= from && level.height <= to);
+                here.map(|level| level.up).sum()
+            };
+            let (own, between) = (up(floor, floor), up(floor + LEVEL_APART, ceiling - LEVEL_APART));
+            if between > BETWEEN_SHARE * own {
+                let _ = write!(
+                    counted,
+                    "; between {floor:.1} and {ceiling:.1} m {between:.0} m² lie level, more than half of the {own:.0} m² of \
+                     that floor"
+                );
+                return Err(counted);
+            }
+        }
+        let slanted = slanted_share(scene);
+        if slanted > SLANTED_SHARE {
+            let percent = 100.0 * slanted;
+            let _ = write!(counted, "; {percent:.0} % of all area is neither level nor upright, more than a quarter");
+            return Err(counted);
+        }
         let (walls, exact) = walls(scene, &storeys);
         if walls.is_empty() {
             let _ = write!(
@@ -126,6 +161,24 @@ fn levels(scene: &Scene) -> Vec<Level> {
         level.height = a.y;
     }
     levels.into_values().collect()
+}
+
+/// Metres within which a level counts as its storey's floor or ceiling.
+const LEVEL_APART: f64 = 0.01;
+
+/// Share of all area that is neither level nor upright; 0 of nothing.
+fn slanted_share(scene: &Scene) -> f64 {
+    let (mut slanted, mut all) = (0.0, 0.0);
+    for triangle in scene.triangles().iter().filter(|triangle| triangle.occludes) {
+        let corners = triangle.corners.map(|corner| corner.as_dvec3());
+        let [a, b, c] = corners;
+        let area = (b - a).cross(c - a).length();
+        all += area;
+        if !(a.y == b.y && b.y == c.y) && !is_upright(corners) {
+            slanted += area;
+        }
+    }
+    if all > 0.0 { slanted / all } else { 0.0 }
 }
 
 /// Walls in plan, and where those across an axis stand.

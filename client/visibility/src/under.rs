@@ -505,6 +505,11 @@ impl Occlusion for UnderOcclusion {
     fn hides_group(&self, around: &Bound) -> bool {
         self.portals.hides(around) || self.covers(around)
     }
+
+    fn version(&self) -> Option<u64> {
+        // Within a frame it changes with each polygon that is drawn.
+        Some(u64::from(self.image.frame) << 32 | self.image.stats.polygons)
+    }
 }
 
 impl Target for UnderOcclusion {

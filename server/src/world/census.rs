@@ -3,6 +3,7 @@
 use super::session::Phase;
 use super::{World, present};
 use crate::histogram::{Histogram, NUMBERS};
+use crate::plan::PlanCounts;
 
 /// The sessions of a world, and what they are told.
 #[derive(Clone, Debug, PartialEq)]
@@ -62,6 +63,36 @@ impl World {
             }
         }
         census
+    }
+}
+
+impl World {
+    /// Whether paths and rest make bounds, if anything has them ([`super::WorldConfig::swept`]).
+    pub fn sweeps(&self) -> bool {
+        self.config.swept
+    }
+
+    /// What [`crate::plan::plan`] is made from. Looks at each object once.
+    pub fn plan_counts(&self) -> PlanCounts {
+        let mut counts = PlanCounts {
+            avatars: self.avatars_alive,
+            clients: self.sessions.len(),
+            states: self.stats.out.states,
+            ..PlanCounts::default()
+        };
+        for object in self.objects.iter().filter(|object| object.alive) {
+            let bits = object.holders.len() + object.told_since_violation.len();
+            counts.sharing_bytes += bits.div_ceil(usize::BITS as usize) * size_of::<usize>();
+            if object.class == super::AVATAR_CLASS {
+                continue;
+            }
+            counts.objects += 1;
+            match &object.path {
+                Some(path) => counts.on_paths += usize::from(path.spring().is_none()),
+                None => counts.at_rest += usize::from(object.owner.is_none()),
+            }
+        }
+        counts
     }
 }
 

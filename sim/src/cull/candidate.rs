@@ -2,9 +2,11 @@
 
 use std::sync::Arc;
 
+use eyeline_client::plan;
+use eyeline_protocol::PlanSwitch;
 use eyeline_visibility::{
-    Aabb, Budget, Cplp, CplpScratch, CpuQuery, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, QueryBackEnd,
-    QueryKind, Round, Scene, Scratch, Triangle, View,
+    Aabb, Budget, Cplp, CplpScratch, CpuQuery, Culled, Culler, DepthBuffer, EyeRegion, NothingHidden, Occlusion,
+    Planned, QueryBackEnd, QueryKind, Round, Scene, SceneCounts, Scratch, Triangle, View,
 };
 
 use super::picture::Layer;
@@ -74,6 +76,38 @@ impl<C: Culler> Candidate for WithScratch<C> {
 
     fn z_tests(&self) -> Option<u64> {
         (self.z_tests > 0).then_some(self.z_tests)
+    }
+}
+
+/// The culler that follows a plan.
+pub struct PlannedCandidate {
+    scene: Arc<Scene>,
+    switch: PlanSwitch,
+    /// As soon as it is known from where one looks.
+    planned: Option<Planned>,
+}
+
+impl PlannedCandidate {
+    /// Counts around the first eye that it is given.
+    pub fn new(scene: Arc<Scene>, switch: PlanSwitch) -> PlannedCandidate {
+        PlannedCandidate { scene, switch, planned: None }
+    }
+}
+
+impl Candidate for PlannedCandidate {
+    fn cull(&mut self, view: &View, region: EyeRegion) -> Culled {
+        let planned = self
+            .planned
+            .get_or_insert_with(|| plan::planned(SceneCounts::around(self.scene.clone(), view.eye), self.switch));
+        planned.look(view, region)
+    }
+
+    fn occlusion(&self) -> &dyn Occlusion {
+        self.planned.as_ref().map_or(&NothingHidden, |planned| planned.occlusion())
+    }
+
+    fn draw_moving(&mut self, triangles: &[Triangle]) -> bool {
+        self.planned.as_mut().is_some_and(|planned| planned.draw_moving(triangles))
     }
 }
 

@@ -8,7 +8,7 @@ use eyeline_visibility::{
 };
 
 use super::candidate::Candidate;
-use super::candidate::{WithFront, WithScratch};
+use super::candidate::{PlannedCandidate, WithFront, WithScratch};
 use super::plp::{Centroids, PlpCandidate};
 use super::registry::Setting;
 use super::registry::{Budgets, Entry};
@@ -74,6 +74,16 @@ pub(super) fn standard() -> Vec<Entry> {
             queries: &["planes"],
             budget: Budgets::None,
             make: |shop, _| Box::new(WithScratch::new(LargeOccluder::build(shop.scene()))),
+        },
+        Entry {
+            name: "planned",
+            about: "everything, the frustum or `masked`, whichever pays: counted around the first eye and revised while it runs",
+            conservative: true,
+            by_rays: false,
+            tessellations: &[],
+            queries: &[],
+            budget: Budgets::None,
+            make: |shop, _| Box::new(PlannedCandidate::new(shop.scene(), shop.switch())),
         },
         Entry {
             name: "masked",

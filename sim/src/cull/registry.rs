@@ -246,6 +246,7 @@ mod tests {
             "frustum-backface",
             "frustum",
             "large-occluder · planes",
+            "planned",
             "masked · kd-tree · masks",
             "cplp · octree · sampled · 100",
             "cplp-occupancy · octree · sampled · 100",
@@ -302,7 +303,7 @@ mod tests {
         let text = message(&sweep(&["cplp", "plpp"], &[], &[], &[]));
         assert!(
             text.contains("no culler `plpp`")
-                && text.contains("zbuffer, frustum-backface, frustum, large-occluder, masked, cplp"),
+                && text.contains("zbuffer, frustum-backface, frustum, large-occluder, planned, masked, cplp"),
             "{text}"
         );
         assert!(

@@ -71,7 +71,7 @@ pub fn run(
     registry: &Registry,
     mut each_view: impl FnMut(),
 ) -> Outcome {
-    let shop = Shop::new(world.scene.clone());
+    let shop = Shop::new(world.scene.clone()).with_switch(world.plan);
     let mut shop = match &world.tessellation {
         Some(made) => shop.with_tessellation(made.clone()),
         None => shop,

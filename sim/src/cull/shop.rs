@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use eyeline_protocol::PlanSwitch;
 use eyeline_visibility::{
     AnyTessellation, AutoBudget, AutoBudgetRules, Budget, Cplp, Delaunay, DelaunayError, DelaunayRules, KdRules,
     KdTree, Occluders, Octree, OctreeRules, Plp, PlpCells, PlpRules, Prisms, PrismsError, Scene, Tessellation,
@@ -31,6 +32,7 @@ pub struct Shop {
     fine_octree: Option<PlpCells>,
     delaunay: Option<Result<Arc<Delaunay>, DelaunayError>>,
     prisms: Option<Result<Arc<Prisms>, PrismsError>>,
+    switch: PlanSwitch,
 }
 
 impl Shop {
@@ -45,6 +47,7 @@ impl Shop {
             fine_octree: None,
             delaunay: None,
             prisms: None,
+            switch: PlanSwitch::AUTO,
         }
     }
 
@@ -60,6 +63,16 @@ impl Shop {
             AnyTessellation::Prisms(prisms) => self.prisms = Some(Ok(prisms)),
         }
         self
+    }
+
+    /// The same with what is asked of the plan.
+    pub fn with_switch(self, switch: PlanSwitch) -> Shop {
+        Shop { switch, ..self }
+    }
+
+    /// What is asked of the plan.
+    pub fn switch(&self) -> PlanSwitch {
+        self.switch
     }
 
     /// Which tessellation stands in for the one that a setting names, and why, if that could not be made.

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context;
+use eyeline_protocol::PlanSwitch;
 use eyeline_server::spec::WorldSpec;
 use eyeline_visibility::{Aabb, AnyTessellation, LoadOptions, RayScene, Scene, load_file, load_glb};
 use glam::{DVec2, DVec3};
@@ -47,6 +48,8 @@ pub struct World {
     pub notes: Vec<String>,
     /// A tessellation of the scene that was made before, in place of the one of its kind.
     pub tessellation: Option<AnyTessellation>,
+    /// What is asked of the plan that `planned` follows.
+    pub plan: PlanSwitch,
     standing: Standing,
 }
 
@@ -79,7 +82,7 @@ pub struct WorldRules {
 }
 
 /// Worlds that can be made instead of read.
-pub const MADE: [&str; 8] = ["building", "city", "engine", "office", "seminar", "tower", "vessels", "rooms"];
+pub const MADE: [&str; 9] = ["building", "city", "engine", "office", "seminar", "tower", "vessels", "rooms", "room"];
 
 impl World {
     /// A scene as it is, without places to stand.
@@ -92,7 +95,15 @@ impl World {
             let corners = object.triangles.iter().flat_map(|triangle| triangle.corners);
             corners.fold(Aabb::EMPTY, |aabb, corner| aabb.with_point(corner.as_dvec3() + object.origin))
         });
-        World { object_boxes: boxes.collect(), name, scene, notes, tessellation: None, standing }
+        World {
+            object_boxes: boxes.collect(),
+            name,
+            scene,
+            notes,
+            tessellation: None,
+            plan: PlanSwitch::AUTO,
+            standing,
+        }
     }
 
     /// A world by the name of its maker or of its file.
@@ -151,7 +162,9 @@ impl World {
                 let made = vessels::make(&VesselsRules { seed, cameras, ..default })?;
                 World::made(&made.glb, format!("vessels seed {seed}"), Standing::Cameras(made.cameras), rules)
             }
-            "rooms" => World::rooms(rules),
+            "rooms" => World::rooms(RoomsRules::default(), rules),
+            // A scene so small that nothing pays.
+            "room" => World::rooms(RoomsRules { columns: 1, rows: 1, ..RoomsRules::default() }, rules),
             _ if path.extension().is_none() && !path.exists() => {
                 anyhow::bail!("there is no file `{name}`, nor a maker of that name; makers: {}", MADE.join(", "))
             }
@@ -172,11 +185,11 @@ impl World {
         World::made(&made.glb, name, Standing::Cameras(made.cameras), rules)
     }
 
-    fn rooms(rules: &WorldRules) -> anyhow::Result<World> {
-        let default = RoomsRules::default();
+    fn rooms(default: RoomsRules, rules: &WorldRules) -> anyhow::Result<World> {
+        let name = if default.columns == 1 { "room" } else { "rooms" };
         let made = rooms::make(&RoomsRules { seed: rules.scene_seed.unwrap_or(default.seed), ..default })?;
         let standing = standing_in(&made.plan);
-        World::made(&made.glb, format!("rooms seed {}", made.plan.rules.seed), standing, rules)
+        World::made(&made.glb, format!("{name} seed {}", made.plan.rules.seed), standing, rules)
     }
 
     fn made(glb: &[u8], name: String, standing: Standing, rules: &WorldRules) -> anyhow::Result<World> {

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::time::{Instant, SystemTime};
 
 use clap::Args;
+use eyeline_protocol::PlanSwitch;
 use eyeline_server::app::number;
 use eyeline_sim::cull::report::{report, write_pictures};
 use eyeline_sim::cull::run::run as run_cullers;
@@ -19,7 +20,7 @@ use super::resolution;
 /// Options of `cull`.
 #[derive(Args)]
 pub struct Cull {
-    /// A .glb or .gltf, or a made world: building, city, engine, office, seminar, tower, vessels or rooms. Cameras come from NAME.cameras.json beside a file,
+    /// A .glb or .gltf, or a made world: building, city, engine, office, seminar, tower, vessels, rooms or room. Cameras come from NAME.cameras.json beside a file,
     /// or stand in the rooms of NAME.rooms.json, at the places of NAME.places.json, or on floors found with rays
     #[arg(long, value_name = "FILE|NAME", default_value = "building")]
     world: String,
@@ -27,6 +28,10 @@ pub struct Cull {
     /// Cullers to compare: all, or names; a wrong name lists them
     #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "all")]
     cullers: Vec<String>,
+
+    /// What the culler `planned` leaves out: as counted (auto), nothing (full), or frustum, occlusion and prisms =on or =off
+    #[arg(long, value_name = "auto|full|STAGE=on,…", default_value_t)]
+    plan: PlanSwitch,
 
     /// Tessellations to sweep, all or names [default: each culler's best]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
@@ -158,6 +163,7 @@ pub fn run(options: &Cull) -> anyhow::Result<()> {
             views: options.views,
         },
     )?;
+    world.plan = options.plan;
     if let Some(file) = &options.tessellation_file {
         let made = AnyTessellation::read(&world.scene, file)?;
         if sweep.tessellations.is_empty() {

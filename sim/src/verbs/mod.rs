@@ -6,6 +6,7 @@ mod link;
 mod load;
 mod measure;
 mod place;
+mod plan;
 mod replay;
 mod report;
 mod scene;
@@ -67,6 +68,9 @@ pub enum Verb {
     /// Put several runs on one page, with one table, one plot of error against run time and one Pareto table over all
     #[command(after_long_help = report::EXAMPLES)]
     Report(report::Merge),
+    /// What a scene needs and what is left out, with what was counted; and what leaving it in would cost
+    #[command(after_long_help = plan::EXAMPLES)]
+    Plan(plan::PlanVerb),
     /// Numbers that can go wrong: hard scenes, views, times, speeds and springs, each against an oracle
     #[command(after_long_help = stability::EXAMPLES)]
     Stability(stability::Stability),
@@ -89,6 +93,7 @@ pub fn run(verb: &Verb) -> anyhow::Result<()> {
         Verb::Link(options) => link::run(options),
         Verb::Soak(options) => soak::run(options),
         Verb::Report(options) => report::run(options),
+        Verb::Plan(options) => plan::run(options),
         Verb::Stability(options) => stability::run(options),
     }
 }

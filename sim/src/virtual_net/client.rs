@@ -22,7 +22,7 @@ pub trait ClientDriver {
     /// Moves on to true world time `at` and appends where the avatars are now.
     fn poses(&mut self, session: &Session, at: WorldTime, poses: &mut Vec<Pose>);
 
-    /// Culls from every eye that the present one can reach within the lead.
+    /// Culls from every eye that the present one can reach within the lead; not while nothing is tracked.
     fn cull(&mut self, ahead: Ahead) {
         let _ = ahead;
     }
@@ -133,6 +133,9 @@ pub struct Client {
     pub(super) clock: OwnClock,
     pub(super) frame: Duration,
     pub(super) connected: bool,
+    /// Whether the newest frame culled, and for which lead.
+    pub(super) has_looked: bool,
+    pub(super) ahead: Ahead,
     pub(super) events: Vec<Event>,
     pub(super) closed: Option<String>,
     /// Datagrams that came before the welcome.

@@ -123,6 +123,8 @@ impl VirtualRun {
             clock,
             frame: plan.frame,
             connected: true,
+            has_looked: true,
+            ahead: eyeline_client::tracking::Ahead::default(),
             events: Vec::new(),
             closed: None,
             early: Vec::new(),
@@ -240,9 +242,16 @@ impl VirtualRun {
         for pose in &self.poses {
             client.session.set_pose(pose.object, pose.position, pose.orientation);
         }
+        // As the client's own loop does.
         let ahead = client.session.ahead();
-        client.driver.cull(ahead);
-        let time = client.driver.occlusion().and_then(|occlusion| client.session.frame(ahead, occlusion, local));
+        client.ahead = ahead;
+        client.has_looked = client.session.tracks() || !client.session.looks();
+        let time = if client.has_looked {
+            client.driver.cull(ahead);
+            client.driver.occlusion().and_then(|occlusion| client.session.frame(ahead, occlusion, local))
+        } else {
+            client.session.frame_alone(ahead, local)
+        };
         let eye = client.driver.eye();
         client.driver.frame_done(&mut client.session, time, now);
         let framed = Framed { client: number, session: &client.session, time, eye, at: now, world: &self.world };
@@ -271,9 +280,16 @@ impl VirtualRun {
         match kind {
             // The QUIC shell leaves them in quinn's buffer until then.
             Kind::Datagram if client.session.welcome().is_none() => client.early.push(bytes.to_vec()),
-            Kind::Datagram => client.session.handle_datagram(bytes, client.driver.occlusion(), local),
+            Kind::Datagram => {
+                let occlusion = client.driver.occlusion().filter(|_| client.has_looked);
+                client.session.handle_datagram(bytes, occlusion, local);
+            }
             Kind::Control => {
                 client.session.handle_control(bytes);
+                if !client.has_looked && client.session.tracks() {
+                    client.driver.cull(client.ahead);
+                    client.has_looked = true;
+                }
                 if let Some(occlusion) = client.driver.occlusion() {
                     client.session.handle_news(occlusion);
                 }

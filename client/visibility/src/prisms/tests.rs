@@ -130,6 +130,26 @@ fn scenes_without_storeys_say_what_was_counted() {
     let mut steps = Vec::new();
     (0..8).for_each(|i| solid(&mut steps, [i as f32, 0.0, 0.0], [i as f32 + 1.0, i as f32, 9.0], 0.0));
     scenes.push(Scene::from_triangles(steps));
+    // A gallery: below one ceiling, over half as much of the floor again.
+    let mut hall = Vec::new();
+    for (min, max) in [([0.0, -0.2, 0.0], [9.0, 0.0, 9.0]), ([0.0, 6.0, 0.0], [9.0, 6.2, 9.0])] {
+        solid(&mut hall, min, max, 0.0);
+    }
+    for (min, max) in [([-0.2, 0.0, 0.0], [0.0, 6.0, 9.0]), ([9.0, 0.0, 0.0], [9.2, 6.0, 9.0])] {
+        solid(&mut hall, min, max, 0.0);
+    }
+    assert!(Prisms::build(&Scene::from_triangles(hall.clone())).is_ok());
+    let mut with_gallery = hall.clone();
+    (0..6)
+        .for_each(|i| solid(&mut with_gallery, [i as f32, 1.0, 0.0], [i as f32 + 1.0, 1.1 + 0.5 * i as f32, 9.0], 0.0));
+    scenes.push(Scene::from_triangles(with_gallery));
+    // The same hall under a vault of slopes.
+    for i in 0..9 {
+        let (x, z) = (i as f32, [0.0, 9.0]);
+        let corners = [Vec3::new(x, 3.0, z[0]), Vec3::new(x + 1.0, 5.0, z[0]), Vec3::new(x, 3.5, z[1])];
+        (0..4).for_each(|_| hall.push(Triangle { corners, sides: Sides::Both, occludes: true }));
+    }
+    scenes.push(Scene::from_triangles(hall));
     for scene in scenes {
         match Prisms::build(&scene) {
             Err(error @ PrismsError::NoStoreys { .. }) => assert!(error.to_string().starts_with("no storeys: ")),

@@ -216,7 +216,7 @@ impl DepthBuffer {
         !self.blind && seal::holds(&self.projector, seal, |x, y| self.depths[y * self.tiles_x * TILE + x])
     }
 
-    fn sees(&self, aabb: &Aabb) -> bool {
+    pub(crate) fn sees(&self, aabb: &Aabb) -> bool {
         match self.place(aabb) {
             Place::Outside => false,
             Place::Touching => true,

@@ -1,0 +1,196 @@
+//! What does drawing a scene need? Counted in views, so that a plan can leave out what does not pay (DESIGN.md §8).
+//!
+//! Three ways to draw, each a superset of the next and all of them the same picture: everything; what is in view; what is in
+//! view and not hidden. Which pays depends on how much of the scene is out of view, and on how much of the rest is hidden.
+//! Both are counted in triangles and never timed, so that one scene has one plan on every machine. [`SceneCounts`] counts in a
+//! few views, without making any cells; [`Planned`] follows and counts on while it runs.
+
+mod hysteresis;
+mod planned;
+
+use std::sync::Arc;
+
+use crate::frustum::{Frustum, RUN};
+use crate::{DepthBuffer, Resolution, Scene, View};
+
+pub use hysteresis::Hysteresis;
+pub use planned::{Planned, PlannedRules, PlannedStats};
+
+/// How much of a scene is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Drawing {
+    /// All of it.
+    Everything,
+    /// What is in view.
+    Frustum,
+    /// What is in view and not hidden.
+    Occlusion,
+}
+
+/// What was counted, over one view or several. All are sums.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ViewCounts {
+    /// Views.
+    pub views: u64,
+    /// Triangles of the scene, once a view.
+    pub total: u64,
+    /// Of these, those in runs whose box may be in view.
+    pub in_view: u64,
+    /// Of these, those in runs whose box is hidden by what is nearer.
+    pub hidden: u64,
+}
+
+/// Least share of a scene that must be out of view for frustum culling to pay: asking about the box of 64 triangles costs
+/// less than a triangle, and a list of ids has to be made.
+const OUTSIDE_SHARE: f64 = 0.05;
+/// Scenes of fewer triangles are drawn whole: so many are drawn in the time that any culler takes to begin.
+pub(crate) const SMALL: u64 = 1_000;
+/// Least share of what is in view that must be hidden for occlusion culling to pay. Of the scenes that were counted, `vessels`,
+/// `seminar` and `engine` are below it and gain nothing by it; sponza, `city`, maps and buildings are above and gain.
+const HIDDEN_SHARE: f64 = 1.0 / 3.0;
+/// The share at which occlusion culling that runs is still kept.
+const STILL_HIDDEN_SHARE: f64 = 0.2;
+/// Least number of hidden triangles a view: what the culler itself costs.
+const HIDDEN_LEAST: u64 = 500;
+
+impl ViewCounts {
+    /// Adds what was counted elsewhere.
+    pub fn add(&mut self, other: &ViewCounts) {
+        self.views += other.views;
+        self.total += other.total;
+        self.in_view += other.in_view;
+        self.hidden += other.hidden;
+    }
+
+    /// Share of the scene that is out of view.
+    pub fn outside_share(&self) -> f64 {
+        1.0 - share(self.in_view, self.total)
+    }
+
+    /// Share of what is in view that is hidden.
+    pub fn hidden_share(&self) -> f64 {
+        share(self.hidden, self.in_view)
+    }
+
+    /// Whether leaving out what is out of view pays.
+    pub fn frustum_pays(&self) -> bool {
+        self.total >= SMALL * self.views.max(1) && self.outside_share() >= OUTSIDE_SHARE
+    }
+
+    /// Whether leaving out what is hidden pays. What `runs` already must be less worth to be stopped than to be begun.
+    pub fn occlusion_pays(&self, runs: bool) -> bool {
+        let least = if runs { STILL_HIDDEN_SHARE } else { HIDDEN_SHARE };
+        self.hidden >= HIDDEN_LEAST * self.views.max(1) && self.hidden_share() >= least
+    }
+
+    /// The way to draw that pays.
+    pub fn drawing(&self) -> Drawing {
+        match (self.occlusion_pays(false), self.frustum_pays()) {
+            (true, _) => Drawing::Occlusion,
+            (false, true) => Drawing::Frustum,
+            (false, false) => Drawing::Everything,
+        }
+    }
+}
+
+fn share(part: u64, whole: u64) -> f64 {
+    if whole == 0 { 0.0 } else { part as f64 / whole as f64 }
+}
+
+/// An image of the same shape with at most [`COLUMNS`] columns.
+fn small(resolution: Resolution) -> Resolution {
+    let Resolution { width, height } = resolution;
+    let columns = width.min(COLUMNS);
+    let rows = (u64::from(height) * u64::from(columns)).div_ceil(u64::from(width.max(1)));
+    Resolution::new(columns, rows as u32)
+}
+
+/// Counts views of a scene: the runs of triangles in view are taken front to back, and each is hidden or drawn.
+#[derive(Clone, Debug)]
+pub struct SceneCounts {
+    frustum: Arc<Frustum>,
+    depth: DepthBuffer,
+    order: Vec<(u32, u32)>,
+    /// What was counted so far.
+    pub counts: ViewCounts,
+}
+
+/// Columns of the image that is counted in. Fewer cost less and hide a little less at silhouettes.
+const COLUMNS: u32 = 256;
+
+impl SceneCounts {
+    /// Nothing counted yet.
+    pub fn new(frustum: Arc<Frustum>) -> SceneCounts {
+        let nowhere = View::level(glam::DVec3::ZERO, 0.0, 1.0, Resolution::new(0, 0));
+        SceneCounts { frustum, depth: DepthBuffer::new(&nowhere), order: Vec::new(), counts: ViewCounts::default() }
+    }
+
+    /// Counts these views of a scene.
+    pub fn of(scene: Arc<Scene>, views: &[View]) -> SceneCounts {
+        let mut counts = SceneCounts::new(Arc::new(Frustum::new(scene)));
+        for view in views {
+            counts.view(view);
+        }
+        counts
+    }
+
+    /// Counts the four level views around an eye, of 90° each: what is known where nobody has looked yet.
+    pub fn around(scene: Arc<Scene>, eye: glam::DVec3) -> SceneCounts {
+        let views = [0.0, 0.5, 1.0, 1.5].map(|turns: f64| {
+            let side = Resolution::new(COLUMNS, COLUMNS);
+            View::level(eye, turns * std::f64::consts::PI, std::f64::consts::FRAC_PI_2, side)
+        });
+        SceneCounts::of(scene, &views)
+    }
+
+    /// The boxes of the scene's runs.
+    pub fn frustum(&self) -> &Arc<Frustum> {
+        &self.frustum
+    }
+
+    /// Triangles in runs that may be in view, without counting what is hidden.
+    pub(crate) fn in_view(&mut self, view: &View) -> u64 {
+        self.depth.begin(&View { resolution: small(view.resolution), ..*view });
+        let mut in_view = 0;
+        self.frustum.in_view(&self.depth, |run, _| {
+            let ids = self.frustum.ids(run);
+            in_view += u64::from(ids.end - ids.start);
+        });
+        in_view
+    }
+
+    /// Counts one view more; returns what it adds. A view that is none adds nothing.
+    pub fn view(&mut self, view: &View) -> ViewCounts {
+        let Resolution { width, height } = view.resolution;
+        if view.check().is_err() || width == 0 || height == 0 {
+            return ViewCounts::default();
+        }
+        self.depth.begin(&View { resolution: small(view.resolution), ..*view });
+        let total = self.frustum.scene().triangles().len() as u64;
+        let mut counts = ViewCounts { views: 1, total, ..ViewCounts::default() };
+        self.order.clear();
+        let order = &mut self.order;
+        self.frustum.in_view(&self.depth, |run, aabb| {
+            let distance2 = view.eye.clamp(aabb.min, aabb.max).distance_squared(view.eye) as f32;
+            // Bits of floats that are not negative are in the order of their values.
+            order.push((distance2.to_bits(), run as u32));
+        });
+        order.sort_unstable();
+        let scene = self.frustum.scene().clone();
+        for &(_, run) in order.iter() {
+            let ids = self.frustum.ids(run as usize);
+            counts.in_view += u64::from(ids.end - ids.start);
+            if self.depth.sees(self.frustum.run(run as usize)) {
+                self.depth.draw_triangles(&scene.triangles()[ids.start as usize..ids.end as usize]);
+            } else {
+                counts.hidden += u64::from(ids.end - ids.start);
+            }
+        }
+        debug_assert!(self.order.len() * RUN >= counts.in_view as usize);
+        self.counts.add(&counts);
+        counts
+    }
+}
+
+#[cfg(test)]
+mod tests;
