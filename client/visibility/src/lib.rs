@@ -31,6 +31,7 @@ mod occluders;
 mod occlusion;
 mod occupancy_map;
 mod octree;
+mod octree_rounds;
 mod plp;
 mod plp_auto;
 mod plp_cells;
@@ -85,6 +86,7 @@ pub use occluders::Occluders;
 pub use occlusion::{DynamicIndex, Occlusion, Open, Target};
 pub use occupancy_map::{Batches, Occupancy, OccupancyMap, OccupancyQuery};
 pub use octree::{Octree, OctreeRules};
+pub use octree_rounds::OctreeRounds;
 pub use plp::{Plp, PlpScratch, PlpStep, PlpTraversal};
 pub use plp_auto::{AutoBudget, AutoBudgetRules};
 pub use plp_cells::PlpCells;
@@ -95,7 +97,7 @@ pub use query::{
     CplpQueryCuller, CpuQuery, HistogramQuery, ItemBufferQuery, OneAtATimeQuery, PerFragmentHistogram, QueryBackEnd,
     QueryCost, QueryKind, TILE_SIDE,
 };
-pub use raster_sampled::{DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
+pub use raster_sampled::{BoxOnImage, DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
 pub use ray::{Hit, RayScene, image_ray, pixel_ray};
 pub use region_culler::RegionCuller;
 pub use rounds::{Round, RoundsTraversal};
