@@ -40,6 +40,8 @@
 #[cfg(feature = "net")]
 pub mod app;
 pub mod clock;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 #[cfg(feature = "net")]
 pub mod net;
 #[cfg(feature = "net")]

@@ -1,6 +1,6 @@
 //! The viewer: draws what the core says is visible, and shows how it came to that.
 //!
-//! `gpu` finds an adapter, `model` joins a scene with its looks, `renderer` draws a visible set, `overlay` what is drawn over it,
+//! [`gpu`] finds an adapter, `model` joins a scene with its looks, `renderer` draws a visible set, `overlay` what is drawn over it,
 //! `picture` puts both into an image. `sight` is the culler that decides what is drawn: the viewer never does. `shot` makes
 //! pictures without a window; `view` opens one: `viewing` is the world as it is looked at, with a `player` who can `walk`, and
 //! `online` its connection. `inspect` shows cells, tiles and bounds.
@@ -9,7 +9,6 @@
 #![expect(clippy::disallowed_methods)]
 
 pub mod font;
-pub mod gpu;
 pub mod inspect;
 pub mod model;
 pub mod online;
@@ -24,3 +23,5 @@ pub mod view;
 pub mod viewing;
 pub mod walk;
 pub mod window;
+
+pub use crate::gpu;

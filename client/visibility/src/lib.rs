@@ -33,6 +33,7 @@ mod occlusion;
 mod occupancy_map;
 mod octree;
 mod plan;
+mod octree_rounds;
 mod plp;
 mod plp_auto;
 mod plp_cells;
@@ -89,6 +90,7 @@ pub use occlusion::{DynamicIndex, Occlusion, Open, Target};
 pub use occupancy_map::{Batches, Occupancy, OccupancyMap, OccupancyQuery};
 pub use octree::{Octree, OctreeRules};
 pub use plan::{Drawing, Hysteresis, Planned, PlannedRules, PlannedStats, SceneCounts, ViewCounts};
+pub use octree_rounds::OctreeRounds;
 pub use plp::{Plp, PlpScratch, PlpStep, PlpTraversal};
 pub use plp_auto::{AutoBudget, AutoBudgetRules};
 pub use plp_cells::PlpCells;
@@ -99,7 +101,7 @@ pub use query::{
     CplpQueryCuller, CpuQuery, HistogramQuery, ItemBufferQuery, OneAtATimeQuery, PerFragmentHistogram, QueryBackEnd,
     QueryCost, QueryKind, TILE_SIDE,
 };
-pub use raster_sampled::{DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
+pub use raster_sampled::{BoxOnImage, DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
 pub use ray::{Hit, RayScene, image_ray, pixel_ray};
 pub use region_culler::RegionCuller;
 pub use rounds::{Round, RoundsTraversal};

@@ -19,7 +19,7 @@ mod batches;
 mod query;
 
 use crate::raster_sampled::{BoxImage, BoxPlace, Marks};
-use crate::{Aabb, DepthBuffer};
+use crate::{Aabb, DepthBuffer, Scene};
 
 pub use batches::Batches;
 pub use query::OccupancyQuery;
@@ -180,6 +180,12 @@ impl OccupancyMap {
         self.bits = Bits::EMPTY;
     }
 
+    /// Marks where those of the primitives that occlude are drawn, without drawing them: for who draws elsewhere than into `depth`,
+    /// which is of the same view.
+    pub fn mark(&mut self, depth: &DepthBuffer, scene: &Scene, primitives: &[u32]) {
+        depth.mark(primitives.iter().map(|&id| &scene.triangles()[id as usize]), self);
+    }
+
     /// Number of tiles that nothing was drawn into and number of tiles, for reports.
     pub fn empty_tiles(&self) -> [usize; 2] {
         let [columns, rows] = [COLUMNS, ROWS];
@@ -253,13 +259,14 @@ impl Marks for OccupancyMap {
     }
 }
 
-/// Whether a box is seen, if that is known before its pixels are asked about: by the map, or by the pixel in the middle and those
-/// of the corners (§6.1).
-pub(crate) fn foresee(map: &OccupancyMap, depth: &DepthBuffer, aabb: &Aabb) -> Option<bool> {
+/// Whether a box is seen, if that is known before its pixels are asked about: by the map, or, if `depth` was drawn into, by the
+/// pixel in the middle and those of the corners (§6.1).
+pub(crate) fn foresee(map: &OccupancyMap, depth: &DepthBuffer, is_drawn: bool, aabb: &Aabb) -> Option<bool> {
     match depth.box_place(aabb) {
         BoxPlace::Outside => Some(false),
         BoxPlace::Touching => Some(true),
-        BoxPlace::In(image) => is_foreseen(map, depth, &image).then_some(true),
+        BoxPlace::In(image) if is_drawn => is_foreseen(map, depth, &image).then_some(true),
+        BoxPlace::In(image) => map.shows(&image).then_some(true),
     }
 }
 

@@ -277,23 +277,39 @@ impl Octree {
     /// Walks the nodes from the one nearest to `eye` on, so that none comes after one that it can hide. `enter` is told a
     /// node's closed box and, for a leaf, its cell; children are visited only where it returns true.
     pub(crate) fn front_to_back(&self, eye: DVec3, mut enter: impl FnMut(&Aabb, Option<CellId>) -> bool) {
-        let mut open = vec![0];
-        while let Some(index) = open.pop() {
-            let node = self.nodes[index as usize];
-            let aabb = node.lattice.aabb(&self.cells.root());
-            if !enter(&aabb, (node.axes == 0).then_some(node.first)) || node.axes == 0 {
-                continue;
+        let mut open = vec![Octree::ROOT];
+        while let Some(node) = open.pop() {
+            let (aabb, leaf) = self.node(node);
+            if enter(&aabb, leaf) {
+                self.push_children(node, eye, &mut open);
             }
-            // The child on the eye's side of each halved axis; others follow by the number of planes between.
-            let middle = Lattice::corner(&self.cells.root(), std::array::from_fn(|axis| node.lattice.middle(axis)));
-            let halved = (0..3).filter(|axis| node.axes >> axis & 1 == 1);
-            let nearest =
-                halved.enumerate().fold(0, |near, (bit, axis)| near | u32::from(eye[axis] >= middle[axis]) << bit);
-            let children = 1_u32 << node.axes.count_ones();
-            for planes in (0..=node.axes.count_ones()).rev() {
-                let behind = (0..children).filter(|child| (child ^ nearest).count_ones() == planes);
-                open.extend(behind.map(|child| node.first + child));
-            }
+        }
+    }
+
+    /// The node of everything.
+    pub(crate) const ROOT: u32 = 0;
+
+    /// A node's closed box and, for a leaf, its cell.
+    pub(crate) fn node(&self, node: u32) -> (Aabb, Option<CellId>) {
+        let Node { lattice, first, axes } = self.nodes[node as usize];
+        (lattice.aabb(&self.cells.root()), (axes == 0).then_some(first))
+    }
+
+    /// Appends a node's children, the one nearest to `eye` last.
+    pub(crate) fn push_children(&self, node: u32, eye: DVec3, open: &mut Vec<u32>) {
+        let Node { lattice, first, axes } = self.nodes[node as usize];
+        if axes == 0 {
+            return;
+        }
+        // The child on the eye's side of each halved axis; others follow by the number of planes between.
+        let middle = Lattice::corner(&self.cells.root(), std::array::from_fn(|axis| lattice.middle(axis)));
+        let halved = (0..3).filter(|axis| axes >> axis & 1 == 1);
+        let nearest =
+            halved.enumerate().fold(0, |near, (bit, axis)| near | u32::from(eye[axis] >= middle[axis]) << bit);
+        let children = 1_u32 << axes.count_ones();
+        for planes in (0..=axes.count_ones()).rev() {
+            let behind = (0..children).filter(|child| (child ^ nearest).count_ones() == planes);
+            open.extend(behind.map(|child| first + child));
         }
     }
 }

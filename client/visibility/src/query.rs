@@ -26,7 +26,7 @@ pub use one_at_a_time::OneAtATimeQuery;
 pub(crate) use one_at_a_time::{test, test_image};
 pub use per_fragment::PerFragmentHistogram;
 
-use crate::{Aabb, DepthBuffer, Occupancy, OccupancyQuery, PixelRect, Scene, View};
+use crate::{Aabb, DepthBuffer, Occupancy, OccupancyMap, OccupancyQuery, PixelRect, Scene, View};
 
 /// An image of one view, sampled at pixel centres, that holds what was drawn and answers which boxes can be seen past it.
 ///
@@ -44,6 +44,17 @@ pub trait QueryBackEnd {
     /// Draws those of the primitives that occlude.
     fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
         self.depth_mut().draw(scene, primitives);
+    }
+
+    /// The same, and marks in `map` where was drawn.
+    fn draw_mapped(&mut self, scene: &Scene, primitives: &[u32], map: &mut OccupancyMap) {
+        self.depth_mut().draw_marking(scene, primitives, map);
+    }
+
+    /// Whether [`QueryBackEnd::depth`] holds what was drawn, so that single pixels of it can be asked about. A back end that draws
+    /// elsewhere keeps one there that knows the view alone.
+    fn depth_is_drawn(&self) -> bool {
+        true
     }
 
     /// Whether any pixel may show any of the box, whatever was drawn.

@@ -13,8 +13,8 @@ pub(crate) mod setup;
 use glam::DVec3;
 
 pub(crate) use boxes::{BoxImage, BoxPlace};
+pub use depth::{BoxOnImage, DepthBuffer, SampledTarget};
 pub(crate) use depth::{BoxRectangle, MappedTarget, Marks, TILE};
-pub use depth::{DepthBuffer, SampledTarget};
 use setup::Projector;
 
 use crate::{Resolution, Scene, Sides, Triangle, View};

@@ -39,6 +39,17 @@ pub trait Candidate {
         None
     }
 
+    /// For a culler that speaks for another rasteriser's pictures than the CPU's: the winners of each pixel of everything, and of
+    /// these primitives alone, ascending, by that one. Lost and wrong is then what differs between these two.
+    fn own_pictures(&mut self, _view: &View, _visible: &[u32]) -> Option<[Vec<u32>; 2]> {
+        None
+    }
+
+    /// Why the culler cannot work, or what went wrong since it was made.
+    fn fault(&self) -> Option<String> {
+        None
+    }
+
     /// What the culler can show of itself in a view: the front, finished tiles.
     fn layers(&mut self, _view: &View) -> Vec<Layer> {
         Vec::new()

@@ -127,7 +127,7 @@ pub fn columns() -> Vec<Column> {
         column(
             "cracks",
             "",
-            "primitives not counted as lost: they show in pixels that no ray meets them in (for `region`)",
+            "primitives not counted as lost: they show in pixels that no ray meets them in (for `region`), or by the CPU's rasteriser and not by the adapter's own (for `gpu-…`)",
         ),
         column("lost_visible", "", "exact-visible primitives and objects that were not reported, summed over views"),
         column("visible_found", "", "ε_k: share of the exact set that was reported, all views together"),

@@ -77,10 +77,15 @@ pub fn run(
         None => shop,
     };
     let mut made: Vec<(&Setting, &Entry, f64, Box<dyn Candidate>)> = Vec::new();
+    let mut faults = Vec::new();
     for setting in &config.settings {
         let Some(entry) = registry.entry(setting.culler) else { continue };
         let began = Instant::now();
         let candidate = (entry.make)(&mut shop, setting);
+        if let Some(fault) = candidate.fault() {
+            faults.push(format!("left out, {}: {fault}", setting.label()));
+            continue;
+        }
         made.push((setting, entry, millis(began), candidate));
     }
     let rays = OnceCell::new();
@@ -90,6 +95,7 @@ pub fn run(
     };
     let mut notes: Vec<String> = made.iter().filter_map(|(setting, ..)| stand_in(setting)).collect();
     notes.dedup();
+    notes.append(&mut faults);
     let mut outcome = Outcome { rows: Vec::new(), pictures: Vec::new(), notes };
     for &resolution in &config.resolutions {
         let mut max_pass = MaxPass::new(resolution);
@@ -144,6 +150,8 @@ pub fn run(
             }
         }
     }
+    let failed = made.iter().filter_map(|(setting, .., candidate)| Some((setting.label(), candidate.fault()?)));
+    outcome.notes.extend(failed.map(|(label, fault)| format!("{label} reported everything after a fault: {fault}")));
     outcome
 }
 

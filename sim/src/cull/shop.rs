@@ -33,6 +33,8 @@ pub struct Shop {
     delaunay: Option<Result<Arc<Delaunay>, DelaunayError>>,
     prisms: Option<Result<Arc<Prisms>, PrismsError>>,
     switch: PlanSwitch,
+    #[cfg(feature = "gpu")]
+    gpu: Option<Result<super::gpu::Uploaded, String>>,
 }
 
 impl Shop {
@@ -48,7 +50,16 @@ impl Shop {
             delaunay: None,
             prisms: None,
             switch: PlanSwitch::AUTO,
+            #[cfg(feature = "gpu")]
+            gpu: None,
         }
+    }
+
+    /// The scene on a graphics adapter, or why it is not there.
+    #[cfg(feature = "gpu")]
+    pub(super) fn gpu(&mut self) -> Result<super::gpu::Uploaded, String> {
+        let scene = &self.scene;
+        self.gpu.get_or_insert_with(|| super::gpu::Uploaded::new(scene).map_err(|error| error.to_string())).clone()
     }
 
     /// The same with a tessellation that was made before, in place of the one of its kind.

@@ -86,10 +86,21 @@ impl Try<'_> {
             Some(object) => exposed.binary_search(&object).is_err(),
         };
         let mut lost: Vec<u32> = truth.winners.iter().copied().filter(|&id| is_lost(id)).collect();
-        let cracks: Vec<u32> = lost.iter().copied().filter(|&id| self.shows_in_cracks_only(id)).collect();
-        lost.retain(|id| !cracks.contains(id));
-        wrong -= truth.items[0].ids().iter().filter(|id| cracks.contains(id)).count() as u64;
-        tally.cracks += cracks.len() as u64;
+        if let Some([whole, drawn]) = candidate.own_pictures(view, &culled.visible) {
+            let mut own_lost: Vec<u32> =
+                whole.iter().copied().filter(|id| *id < static_count && is_lost(*id)).collect();
+            own_lost.sort_unstable();
+            own_lost.dedup();
+            own_lost.extend(lost.iter().copied().filter(|id| *id >= static_count));
+            tally.cracks += lost.iter().filter(|id| own_lost.binary_search(id).is_err()).count() as u64;
+            lost = own_lost;
+            wrong = whole.iter().zip(&drawn).filter(|(whole, drawn)| whole != drawn).count() as u64;
+        } else {
+            let cracks: Vec<u32> = lost.iter().copied().filter(|&id| self.shows_in_cracks_only(id)).collect();
+            lost.retain(|id| !cracks.contains(id));
+            wrong -= truth.items[0].ids().iter().filter(|id| cracks.contains(id)).count() as u64;
+            tally.cracks += cracks.len() as u64;
+        }
         if !lost.is_empty() {
             // From the other eyes of a ball a pixel is wrong if its winner was lost: drawing less changes no other winner.
             for other in &truth.items[1..] {

@@ -9,9 +9,12 @@ use std::time::{Instant, SystemTime};
 use clap::Args;
 use eyeline_protocol::PlanSwitch;
 use eyeline_server::app::number;
+use eyeline_sim::cull::gpu::{GpuSide, NoGpu, PREFIX};
 use eyeline_sim::cull::report::{report, write_pictures};
 use eyeline_sim::cull::run::run as run_cullers;
-use eyeline_sim::cull::{AskedBudget, CameraPath, CullConfig, Registry, Sweep, World, WorldRules, columns, row};
+use eyeline_sim::cull::{
+    AskedBudget, CameraPath, CullConfig, Registry, Setting, Sweep, SweepError, World, WorldRules, columns, row,
+};
 use eyeline_sim::report::{Progress, Run, rfc3339, table};
 use eyeline_visibility::{AnyTessellation, Resolution};
 
@@ -100,6 +103,11 @@ pub struct Cull {
     #[arg(long, value_name = "FILE.json")]
     path: Option<PathBuf>,
 
+    /// Run the cullers of a graphics adapter too, gpu-… (all, or those named), each with all its query back ends unless --query names
+    /// some, and measure single queries. Needs a build with the feature gpu
+    #[arg(long)]
+    gpu: bool,
+
     /// Folder for report.html, report.json, report.csv and the pictures
     #[arg(long, value_name = "DIR", default_value = "out/cull")]
     out: PathBuf,
@@ -129,6 +137,9 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim cull --world city --cullers cplp,cplp-occupancy,cplp-batches --query all
   eyeline-sim cull --world city --cullers query-front-to-back,query-front-to-back-occupancy,query-front-to-back-batches
 
+  Query back ends on the GPU beside the CPU's (a build with --features gpu), and what a query costs there:
+  eyeline-sim cull --gpu --world office --cullers cplp,gpu-cplp,gpu-cplp-batches,gpu-hierarchical-z --views 20
+
   Cells that end at walls, and cells from a file:
   eyeline-sim cull --world office --cullers cplp --tessellation octree,kd-tree,prisms
   eyeline-sim cull --world city --cullers plp --tessellation-file city.tess
@@ -140,18 +151,57 @@ pub const EXAMPLES: &str = "Examples:
 Exits with 1, after writing the report, if a culler that promises to lose nothing has a wrong pixel
 or lost a primitive.";
 
+/// The settings to run. Cullers of a graphics adapter take all their query back ends unless some are named: they are there to be
+/// compared.
+fn settings_of(registry: &Registry, sweep: &Sweep, has_gpu: bool) -> Result<Vec<Setting>, SweepError> {
+    if !has_gpu || !sweep.queries.is_empty() {
+        return registry.settings(sweep);
+    }
+    // Which cullers are meant, by name; a wrong one is refused here.
+    let all = registry.settings(sweep)?;
+    let mut settings: Vec<Setting> =
+        all.iter().filter(|setting| !setting.culler.starts_with(PREFIX)).cloned().collect();
+    let mut cullers: Vec<String> = all.iter().map(|setting| setting.culler.to_owned()).collect();
+    cullers.retain(|name| name.starts_with(PREFIX));
+    cullers.dedup();
+    if !cullers.is_empty() {
+        settings.extend(registry.settings(&Sweep { cullers, queries: vec!["all".into()], ..sweep.clone() })?);
+    }
+    Ok(settings)
+}
+
 /// Runs, writes the report, and fails if a promise was broken.
 pub fn run(options: &Cull) -> anyhow::Result<()> {
     let (began, started) = (Instant::now(), rfc3339(SystemTime::now()));
-    let registry = Registry::standard();
-    // Names first: a world may take long to load.
+    let mut registry = Registry::standard();
     let mut sweep = Sweep {
         cullers: options.cullers.clone(),
         tessellations: options.tessellation.clone(),
         queries: options.query.clone(),
         budgets: options.budgets.clone(),
     };
-    registry.settings(&sweep)?;
+    let mut gpu_notes = Vec::new();
+    let gpu = match options.gpu.then(GpuSide::open) {
+        None => None,
+        Some(Ok(gpu)) => {
+            registry = gpu.entries().into_iter().fold(registry, Registry::with);
+            gpu_notes = gpu.notes();
+            Some(gpu)
+        }
+        Some(Err(error @ NoGpu::NotBuilt)) => return Err(error.into()),
+        // The rows of the CPU are worth having all the same.
+        Some(Err(NoGpu::NoAdapter(why))) => {
+            let line = format!("no rows of a GPU: {why}");
+            eprintln!("{line}");
+            gpu_notes.push(line);
+            let is_named_gpu = |name: &String| name.starts_with(PREFIX);
+            sweep.cullers.retain(|name| !is_named_gpu(name));
+            sweep.queries.retain(|name| !is_named_gpu(name));
+            None
+        }
+    };
+    // Names first: a world may take long to load.
+    settings_of(&registry, &sweep, gpu.is_some())?;
     let replayed = options.path.as_deref().map(CameraPath::read).transpose()?;
     let mut world = World::open(
         &options.world,
@@ -172,7 +222,8 @@ pub fn run(options: &Cull) -> anyhow::Result<()> {
         world.notes.push(format!("cells of kind {} from {}", made.name(), file.display()));
         world.tessellation = Some(made);
     }
-    let settings = registry.settings(&sweep)?;
+    world.notes.append(&mut gpu_notes);
+    let settings = settings_of(&registry, &sweep, gpu.is_some())?;
     let path = match replayed {
         Some(mut path) => {
             path.cameras.truncate(options.views.map_or(usize::MAX, |views| views as usize));
@@ -201,11 +252,14 @@ pub fn run(options: &Cull) -> anyhow::Result<()> {
     let mut run = Run::here("Eyeline cull", Some(options.seed), started);
     run.wall_seconds = began.elapsed().as_secs_f64();
     let mut report = report(run, &world, &outcome, &config)?;
+    let costs = gpu.map_or(Ok(Vec::new()), |gpu| gpu.measure(&mut report, &outcome))?;
     write_pictures(&mut report, &outcome, &options.out)?;
     let written = report.write(&options.out)?;
     let short: Vec<_> = columns().into_iter().filter(|column| row::SHORT.contains(&column.key.as_str())).collect();
+    let told = outcome.notes.iter().filter(|_| options.gpu);
+    let faults = told.chain(&costs).fold(String::new(), |text, line| text + line + "\n");
     super::print(&format!(
-        "{}\n{}\nreport: {}\n",
+        "{}\n{faults}{}\nreport: {}\n",
         table(report.rows(), &short),
         report.headline,
         written.html.display()

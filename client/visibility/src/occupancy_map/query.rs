@@ -32,6 +32,16 @@ impl<B: QueryBackEnd> OccupancyQuery<B> {
         }
     }
 
+    /// The back end behind the maps.
+    pub fn inner(&self) -> &B {
+        &self.inner
+    }
+
+    /// The same, to set it up or to ask what became of it.
+    pub fn inner_mut(&mut self) -> &mut B {
+        &mut self.inner
+    }
+
     /// Where was drawn.
     pub fn map(&self) -> &OccupancyMap {
         &self.map
@@ -50,7 +60,11 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
     }
 
     fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
-        self.inner.depth_mut().draw_marking(scene, primitives, &mut self.map);
+        self.inner.draw_mapped(scene, primitives, &mut self.map);
+    }
+
+    fn depth_is_drawn(&self) -> bool {
+        self.inner.depth_is_drawn()
     }
 
     fn in_view(&self, aabb: &Aabb) -> bool {
@@ -86,7 +100,7 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
     }
 
     fn foresee(&mut self, cell: &Aabb) -> Option<bool> {
-        foresee(&self.map, self.inner.depth(), cell)
+        foresee(&self.map, self.inner.depth(), self.inner.depth_is_drawn(), cell)
     }
 
     fn arrange(&mut self, cells: &[Aabb], batch_of: &mut Vec<u32>) {

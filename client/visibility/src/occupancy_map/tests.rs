@@ -90,6 +90,11 @@ fn every_pixel_that_is_drawn_is_in_a_marked_tile_and_few_other_tiles_are_marked(
         let ids: Vec<u32> = (0..12).collect();
         depth.draw_marking(&scene, &ids, &mut map);
         items.draw(&scene, &ids);
+        // Who draws elsewhere gets the same map.
+        let (undrawn, mut marked_only) = (DepthBuffer::new(&view), OccupancyMap::new());
+        marked_only.begin(&undrawn, &scene.bounds());
+        marked_only.mark(&undrawn, &scene, &ids);
+        assert_eq!(marked_only.bits, map.bits, "{view:?}");
         let mut naive = [[false; COLUMNS]; ROWS];
         let width = view.resolution.width as usize;
         for (at, _) in items.depths().iter().enumerate().filter(|(_, depth)| **depth > 0.0) {
@@ -123,9 +128,11 @@ fn what_a_map_shows_a_query_sees() {
             for _ in 0..12 {
                 let aabb = any_box(&mut rng);
                 let answer = test(&depth, &aabb).0;
-                let foreseen = foresee(&map, &depth, &aabb);
+                let foreseen = foresee(&map, &depth, true, &aabb);
                 assert!(foreseen.is_none_or(|known| known == answer), "{aabb:?} {view:?}");
                 if let BoxPlace::In(image) = depth.box_place(&aabb) {
+                    // Without depths only the map speaks.
+                    assert_eq!(foresee(&map, &depth, false, &aabb), map.shows(&image).then_some(true));
                     asked += 1;
                     seen += u32::from(answer);
                     hidden += u32::from(!answer);
@@ -165,7 +172,7 @@ fn images_without_pixels_boxes_across_the_near_plane_and_empty_scenes_do_no_harm
                 for aabb in
                     [scene.bounds(), Aabb::around(view.eye, DVec3::splat(0.1)), Aabb::around(DVec3::NAN, DVec3::ONE)]
                 {
-                    match foresee(&map, &depth, &aabb) {
+                    match foresee(&map, &depth, true, &aabb) {
                         Some(seen) => assert_eq!(seen, test(&depth, &aabb).0, "{view:?} {aabb:?}"),
                         None => assert!(view.check().is_ok()),
                     }

@@ -2,6 +2,7 @@
 
 use std::cell::Cell;
 
+use super::PixelRect;
 use super::boxes::{BoxImage, BoxPlace};
 use super::seal;
 use super::setup::{DEPTH_SLACK, Projector, SNAP_PX, ViewPoint};
@@ -163,6 +164,30 @@ impl DepthBuffer {
             });
         }
         self.z_tests.set(self.z_tests.get() + z_tests);
+    }
+
+    /// Tells `marks` where those of the triangles that occlude would be drawn.
+    pub(crate) fn mark<'a>(&self, triangles: impl IntoIterator<Item = &'a Triangle>, marks: &mut impl Marks) {
+        let last_row = self.projector.height - 1;
+        for triangle in triangles.into_iter().filter(|triangle| triangle.occludes) {
+            self.projector.pieces(triangle.corners.map(|corner| corner.as_dvec3()), triangle.sides, |piece| {
+                if marks.piece(piece.x, piece.y) {
+                    piece.spans([0, last_row], |y, first, last, _| marks.span(y, first, last));
+                }
+            });
+        }
+    }
+
+    /// Where a box is in the image, whatever was drawn: what a back end that draws elsewhere may ask before it draws the box.
+    pub fn box_on_image(&self, aabb: &Aabb) -> BoxOnImage {
+        match self.place(aabb) {
+            Place::Outside => BoxOnImage::Outside,
+            Place::Touching => BoxOnImage::Touching,
+            Place::In { x, y, z } => {
+                let range = |[first, last]: [usize; 2]| [first as u32, last as u32 + 1];
+                BoxOnImage::In { rect: PixelRect { x: range(x), y: range(y) }, z }
+            }
+        }
     }
 
     /// Whether any pixel centre may see any of the box, whatever was drawn.
@@ -383,6 +408,22 @@ pub(crate) struct BoxRectangle {
     pub(crate) x: [usize; 2],
     pub(crate) y: [usize; 2],
     z: f32,
+}
+
+/// Where a box is in an image, rounded outward: see [`DepthBuffer::box_on_image`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BoxOnImage {
+    /// No pixel centre sees any of it.
+    Outside,
+    /// It touches the eye or the near plane and may be in view, or nothing is known of it: it counts as seen without a query.
+    Touching,
+    /// It is behind the near plane.
+    In {
+        /// The pixels that may show it; at least one.
+        rect: PixelRect,
+        /// No reversed depth (near / distance) of it is greater.
+        z: f32,
+    },
 }
 
 /// Where a box is.

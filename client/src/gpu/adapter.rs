@@ -65,6 +65,14 @@ pub enum GpuError {
         /// What can be done.
         remedy: &'static str,
     },
+    /// The adapter cannot do something at all.
+    #[error("{adapter} has no {what}")]
+    Lacks {
+        /// Name of the adapter.
+        adapter: String,
+        /// What it would need.
+        what: &'static str,
+    },
     /// The driver refused a command, which is our mistake or its own.
     #[error("{adapter} refused a command: {reason}")]
     Refused {
@@ -88,12 +96,23 @@ pub enum AdapterChoice {
 /// What went wrong since the last look.
 #[derive(Debug)]
 enum Fault {
-    Lost(String),
     OutOfMemory(String),
     Refused(String),
 }
 
-type Faults = Arc<Mutex<Option<Fault>>>;
+/// Shared with the driver's callbacks.
+#[derive(Debug, Default)]
+struct Faults {
+    first: Mutex<Option<Fault>>,
+    /// Why the device is gone, if it is: for good, so that it is told again and again.
+    lost: Mutex<Option<String>>,
+}
+
+impl Faults {
+    fn lost(&self) -> Option<String> {
+        self.lost.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
 
 /// An adapter and a device of it.
 #[derive(Debug)]
@@ -107,7 +126,7 @@ pub struct Gpu {
     /// Takes commands.
     pub queue: wgpu::Queue,
     name: String,
-    faults: Faults,
+    faults: Arc<Faults>,
 }
 
 /// An instance that knows Vulkan.
@@ -126,6 +145,14 @@ impl Gpu {
         Gpu::new(instance(), choice, None)
     }
 
+    /// The same with less than the adapter has: `lower` makes its limits smaller, as those of a smaller card would be.
+    ///
+    /// # Errors
+    /// As [`Gpu::offscreen`].
+    pub fn offscreen_within(choice: AdapterChoice, lower: impl FnOnce(&mut wgpu::Limits)) -> Result<Gpu, GpuError> {
+        Gpu::open(instance(), choice, None, lower)
+    }
+
     /// A device that can draw into a surface of this instance, if one is given.
     ///
     /// # Errors
@@ -134,6 +161,15 @@ impl Gpu {
         instance: wgpu::Instance,
         choice: AdapterChoice,
         surface: Option<&wgpu::Surface<'_>>,
+    ) -> Result<Gpu, GpuError> {
+        Gpu::open(instance, choice, surface, |_| {})
+    }
+
+    fn open(
+        instance: wgpu::Instance,
+        choice: AdapterChoice,
+        surface: Option<&wgpu::Surface<'_>>,
+        lower: impl FnOnce(&mut wgpu::Limits),
     ) -> Result<Gpu, GpuError> {
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
         if adapters.is_empty() {
@@ -157,20 +193,23 @@ impl Gpu {
         let adapter = adapters.swap_remove(best);
         let name = adapter.get_info().name;
         // All that the adapter has: whether a scene fits is asked when it is loaded.
+        let mut required_limits = adapter.limits();
+        lower(&mut required_limits);
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("viewer"),
-            required_limits: adapter.limits(),
+            // Counting fragments that pass wants the depth test before the shader; whoever needs it asks whether it is there.
+            required_features: adapter.features() & wgpu::Features::SHADER_EARLY_DEPTH_TEST,
+            required_limits,
             ..wgpu::DeviceDescriptor::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
             .map_err(|source| GpuError::NoDevice { adapter: name.clone(), source })?;
-        let faults = Faults::default();
+        let faults = Arc::<Faults>::default();
         let lost = Arc::clone(&faults);
-        device.set_device_lost_callback(move |reason, message| {
-            // It is also called when the device is dropped, which is no fault.
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                keep(&lost, Fault::Lost(message));
-            }
+        // It is also called when the device is dropped, when nobody asks any more.
+        device.set_device_lost_callback(move |_, message| {
+            let mut lost = lost.lost.lock().unwrap_or_else(PoisonError::into_inner);
+            lost.get_or_insert(message);
         });
         let refused = Arc::clone(&faults);
         device.on_uncaptured_error(Arc::new(move |error| {
@@ -202,16 +241,28 @@ impl Gpu {
     /// Whether all is well.
     ///
     /// # Errors
-    /// What the driver said went wrong since the last call. After [`GpuError::Lost`] nothing works any more.
+    /// What the driver said went wrong since the last call. After [`GpuError::Lost`] nothing works any more, and each call says so.
     pub fn check(&self) -> Result<(), GpuError> {
-        let fault = self.faults.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let fault = self.faults.first.lock().unwrap_or_else(PoisonError::into_inner).take();
         let adapter = self.name.clone();
+        if fault.is_some() && self.faults.lost().is_none() {
+            // A loss is told by a callback of its own, which the next poll makes, and says more than what it leads to.
+            let _ = self.device.poll(wgpu::PollType::Poll);
+        }
+        if let Some(reason) = self.faults.lost() {
+            return Err(GpuError::Lost { adapter, reason });
+        }
         match fault {
             None => Ok(()),
-            Some(Fault::Lost(reason)) => Err(GpuError::Lost { adapter, reason }),
             Some(Fault::OutOfMemory(what)) => Err(GpuError::OutOfMemory { adapter, what }),
             Some(Fault::Refused(reason)) => Err(GpuError::Refused { adapter, reason }),
         }
+    }
+
+    /// What an error that a call returned, and no callback told, comes to: a loss, if that is behind it.
+    pub(crate) fn diagnose(&self, reason: String) -> GpuError {
+        let _ = self.device.poll(wgpu::PollType::Poll);
+        self.check().err().unwrap_or(GpuError::Refused { adapter: self.name.clone(), reason })
     }
 
     /// A buffer with these bytes in it.
@@ -229,28 +280,34 @@ impl Gpu {
     /// # Errors
     /// If it is larger than the adapter takes.
     pub fn empty_buffer(&self, what: &str, usage: wgpu::BufferUsages, bytes: u64) -> Result<wgpu::Buffer, GpuError> {
-        let limit = self.device.limits().max_buffer_size;
-        if bytes > limit {
-            return Err(GpuError::TooLarge {
-                what: what.into(),
-                size: format!("{} MiB", bytes >> 20),
-                adapter: self.name.clone(),
-                limit: format!("{} MiB", limit >> 20),
-                remedy: "take a smaller scene",
-            });
-        }
+        self.check_buffer(what, bytes)?;
         let size = bytes.max(16).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
         let descriptor = wgpu::BufferDescriptor { label: Some(what), size, usage, mapped_at_creation: false };
         Ok(self.device.create_buffer(&descriptor))
     }
+
+    /// Whether a buffer may be so large.
+    ///
+    /// # Errors
+    /// If not.
+    pub fn check_buffer(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
+        let limit = self.device.limits().max_buffer_size;
+        if bytes <= limit {
+            return Ok(());
+        }
+        Err(GpuError::TooLarge {
+            what: what.into(),
+            size: format!("{} MiB", bytes >> 20),
+            adapter: self.name.clone(),
+            limit: format!("{} MiB", limit >> 20),
+            remedy: "take a smaller scene",
+        })
+    }
 }
 
 fn keep(faults: &Faults, fault: Fault) {
-    let mut kept = faults.lock().unwrap_or_else(PoisonError::into_inner);
-    // The first says most; what follows are its consequences. But a loss is final.
-    if kept.is_none() || matches!(fault, Fault::Lost(_)) {
-        *kept = Some(fault);
-    }
+    // The first says most; what follows are its consequences.
+    faults.first.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(fault);
 }
 
 fn is_software(adapter: &wgpu::Adapter) -> bool {
