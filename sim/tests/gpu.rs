@@ -73,6 +73,9 @@ mod with_gpu {
         for title in ["Time per query over the size of its box", "Time per query over the size of the image"] {
             assert!(titles.iter().any(|known| known.starts_with(title)), "{titles:?}");
         }
+        // Nobody is told that a processor in the place of a GPU is fast.
+        let fastest = report["headline"].as_str().unwrap().split("Fastest").nth(1).unwrap();
+        assert!(!(text.contains(SOFTWARE) && fastest.contains("gpu-")), "{fastest}");
         // Ratios are told of real adapters, and those only.
         assert_eq!(text.contains(SOFTWARE), !text.contains("checked:") && !text.contains("not checked:"), "{text}");
     }

@@ -200,25 +200,25 @@ fn a_claimed_length_costs_nothing() {
 fn a_list_that_claims_too_much_is_an_error() {
     // Up to the length of each list and string of a message.
     let prefixes: [(&str, Decoder, &str); 20] = [
-        ("token", DECODERS[0], "00 03"),
-        ("name", DECODERS[0], "00 03 00 00 00 00 00"),
+        ("token", DECODERS[0], "00 04"),
+        ("name", DECODERS[0], "00 04 00 00 00 00 00"),
         ("avatars", DECODERS[1], "00 01 00"),
-        ("policy", DECODERS[1], "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01"),
+        ("policy", DECODERS[1], "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00"),
         (
             "world",
             DECODERS[1],
-            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 000000000000f03f 00",
+            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 00 000000000000f03f 00",
         ),
         (
             "classes",
             DECODERS[1],
-            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 000000000000f03f 00 00 \
+            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 00 000000000000f03f 00 00 \
              0000000000000000000000000000000000000000000000000000000000000000 00",
         ),
         (
             "class",
             DECODERS[1],
-            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 000000000000f03f 00 00 \
+            "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 01 00 00 00 000000000000f03f 00 00 \
              0000000000000000000000000000000000000000000000000000000000000000 00 01",
         ),
         ("reason", DECODERS[1], "01 00"),
@@ -299,12 +299,12 @@ fn impossible_values_are_refused_by_name() {
     assert_eq!(fault(|w| w.classes = vec![w.classes[0].clone(); 513]), length("classes", CLASSES_MAX));
 
     // A welcome with a tick of 0, as bytes.
-    let no_tick = "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 00 00 01 000000000000f03f 00 00 \
+    let no_tick = "00 01 00 00 000000000000f03f 000000000000f03f 000000000000f03f 00 00 00 01 000000000000f03f 00 00 \
                    0000000000000000000000000000000000000000000000000000000000000000 00 00 00 00 \
                    00 00000000000000000000000000000000 00 00";
     assert_eq!(DECODERS[1](&samples::bytes(no_tick)), value("tick"));
     // A replay of 65,535 avatars.
-    let horde = samples::bytes("00 03 00 00 00 00 01fbffff 00 00");
+    let horde = samples::bytes("00 04 00 00 00 00 01fbffff 00 00");
     assert_eq!(DECODERS[0](&horde), length("avatars", AVATARS_MAX));
 }
 

@@ -78,7 +78,7 @@ pub fn client_control() -> Vec<Sample<ClientControl>> {
                 name: "Ada".into(),
                 resume: Some(Resume { token: [0x11; 16], heard: Some(3) }),
             },
-            hex: "00 03 02aabb fb4001 f0 00 00 03416461 01 11111111111111111111111111111111 01 03",
+            hex: "00 04 02aabb fb4001 f0 00 00 03416461 01 11111111111111111111111111111111 01 03",
         },
         Sample {
             name: "hello of a replay",
@@ -91,7 +91,7 @@ pub fn client_control() -> Vec<Sample<ClientControl>> {
                 name: String::new(),
                 resume: None,
             },
-            hex: "00 03 00 00 00 01 0120 00 00",
+            hex: "00 04 00 00 00 01 0120 00 00",
         },
         Sample { name: "world wanted", message: ClientControl::WorldWanted, hex: "01" },
         Sample {
@@ -176,8 +176,8 @@ pub fn server_control() -> Vec<Sample<ServerControl>> {
         Sample {
             name: "welcome",
             message: ServerControl::Welcome(Box::new(welcome)),
-            hex: "00 03 fb2c01 01 010203 04030201 ffffffff 00040000 fffdf75f \
- 000000000000f03f 00000000000000c0 000000000000e03f fb50c3 0776697369626c65 01 000000000000f03f 01000000000000e03f \
+            hex: "00 04 fb2c01 01 010203 04030201 ffffffff 00040000 fffdf75f \
+ 000000000000f03f 00000000000000c0 000000000000e03f fb50c3 fb50c3 0776697369626c65 01 000000000000f03f 01000000000000e03f \
  05726f6f6d73 5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a5a fd0000000001000000 01 \
  01 06617661746172 0000000000000040 000000000000c03f \
  000000000000d03f 0000000000000000 000000000000fc3f 000000000000f83f 010000000000001040 fb2c01 \

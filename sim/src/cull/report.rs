@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::Context;
 
+use super::gpu;
 use super::row::columns;
 use super::run::{CullConfig, Outcome};
 use super::world::World;
@@ -39,7 +40,7 @@ pub fn report(run: Run, world: &World, outcome: &Outcome, config: &CullConfig) -
     for row in &outcome.rows {
         report.push(row)?;
     }
-    report.headline = headline(outcome);
+    report.headline = headline(outcome, world.notes.iter().any(|note| note == gpu::SOFTWARE));
     let labels = ["culler", "tessellation", "query", "budget", "resolution", "eye_radius"];
     report.compare(Comparison::new(&labels, "frame_ms", "wrong_pixels_mean").by_series("culler"));
     let scatter = |title: &str, x: Axis, y: Axis, of: &dyn Fn(&super::CullRow) -> (f64, f64)| {
@@ -161,8 +162,8 @@ pub fn write_pictures(report: &mut Report, outcome: &Outcome, folder: &Path) -> 
     Ok(())
 }
 
-/// What the rows say, in words.
-fn headline(outcome: &Outcome) -> String {
+/// What the rows say, in words. Of an adapter in `software` no speed is told.
+fn headline(outcome: &Outcome, software: bool) -> String {
     let broken: Vec<String> = outcome.rows.iter().filter(|row| !row.ok).map(label).collect();
     let mut text = if broken.is_empty() {
         "No conservative culler has a wrong pixel or lost a visible primitive.".to_owned()
@@ -174,7 +175,8 @@ fn headline(outcome: &Outcome) -> String {
             broken.join("; ")
         )
     };
-    let fastest = outcome.rows.iter().filter(|row| row.ok).min_by(|a, b| a.total_ms.total_cmp(&b.total_ms));
+    let is_timed = |row: &&super::CullRow| row.ok && !(software && row.culler.starts_with(gpu::PREFIX));
+    let fastest = outcome.rows.iter().filter(is_timed).min_by(|a, b| a.total_ms.total_cmp(&b.total_ms));
     if let Some(row) = fastest {
         text += &format!(
             " Fastest to cull and draw: {} with {:.3} + {:.3} ms a frame; culling takes {:.2} max passes.",
