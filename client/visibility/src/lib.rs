@@ -9,6 +9,7 @@
 mod all_round;
 mod all_round_cells;
 mod bound;
+mod camera_path;
 mod closers;
 mod clusters;
 mod cplp;
@@ -64,6 +65,7 @@ mod wedge;
 pub use all_round::{AllRound, AllRoundScratch, AllRoundStats};
 pub use all_round_cells::{AllRoundCells, AllRoundCellsScratch};
 pub use bound::{Aabb, Bound};
+pub use camera_path::{Camera, CameraPath, CameraPathError, CameraStop};
 pub use clusters::{CellClusters, Clusters};
 pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
 pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, ZBuffer, exact_set, wrong_pixels};
