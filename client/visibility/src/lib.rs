@@ -77,8 +77,9 @@ pub use hierarchical_z::HierarchicalZ;
 pub use kd_tree::{KdRules, KdStats, KdTree};
 pub use large_occluder::{LargeOccluder, LargeOccluderRules, LargeOccluderScratch, LargeOccluderStats};
 pub use load::{
-    Alpha, EncodedImage, LoadError, LoadOptions, LoadStats, Looks, Material, TextureUse, TriangleLook, Wrap, load_file,
-    load_file_with_looks, load_file_with_stats, load_glb, load_glb_with_looks, load_glb_with_stats, pack_glb,
+    Alpha, BONES_MAX, Bone, Carried, Clip, Curve, EncodedImage, Joint, LoadError, LoadOptions, LoadStats, Looks,
+    Material, Part, Place, Rig, TextureUse, Track, TriangleLook, Wrap, load_file, load_file_with_looks,
+    load_file_with_stats, load_glb, load_glb_with_looks, load_glb_with_stats, load_rig_file, load_rig_glb, pack_glb,
 };
 pub use masked::{Coverage, MaskedDepth, MaskedStats, SimdLevel};
 pub use masked_cplp::{MaskedCplp, MaskedCplpScratch};
