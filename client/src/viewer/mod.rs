@@ -2,12 +2,16 @@
 //!
 //! `gpu` finds an adapter, `model` joins a scene with its looks, `renderer` draws a visible set, `overlay` what is drawn over it,
 //! `picture` puts both into an image. `sight` is the culler that decides what is drawn: the viewer never does. `shot` makes
-//! pictures without a window; `view` opens one: `viewing` is the world as it is looked at, with a `player` who can `walk`, and
-//! `online` its connection. `inspect` shows cells, tiles and bounds.
+//! pictures without a window and `film` many, with what `staging` puts into them; `view` opens one: `viewing` is the world as it is looked at, with a `player` who can `walk`, and
+//! `online` its connection. `inspect` shows cells, tiles and bounds, and `charts` numbers over time. `avatar`
+//! is what people look like, and `record` keeps the way that one went.
 
 // This is a driver: it may read the clock.
 #![expect(clippy::disallowed_methods)]
 
+pub mod avatar;
+pub mod charts;
+pub mod film;
 pub mod font;
 pub mod gpu;
 pub mod inspect;
@@ -16,9 +20,11 @@ pub mod online;
 pub mod overlay;
 pub mod picture;
 pub mod player;
+pub mod record;
 pub mod renderer;
 pub mod shot;
 pub mod sight;
+pub mod staging;
 mod textures;
 pub mod view;
 pub mod viewing;
