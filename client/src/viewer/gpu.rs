@@ -166,12 +166,8 @@ impl Gpu {
             .map_err(|source| GpuError::NoDevice { adapter: name.clone(), source })?;
         let faults = Faults::default();
         let lost = Arc::clone(&faults);
-        device.set_device_lost_callback(move |reason, message| {
-            // It is also called when the device is dropped, which is no fault.
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                keep(&lost, Fault::Lost(message));
-            }
-        });
+        // It is also called when the device is dropped, and then nobody asks any more.
+        device.set_device_lost_callback(move |_, message| keep(&lost, Fault::Lost(message)));
         let refused = Arc::clone(&faults);
         device.on_uncaptured_error(Arc::new(move |error| {
             let fault = match error {
@@ -204,7 +200,16 @@ impl Gpu {
     /// # Errors
     /// What the driver said went wrong since the last call. After [`GpuError::Lost`] nothing works any more.
     pub fn check(&self) -> Result<(), GpuError> {
-        let fault = self.faults.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let take = || self.faults.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let mut fault = take();
+        if matches!(fault, Some(Fault::Refused(_))) {
+            // A lost device refuses everything, and says that it is lost only when it is polled.
+            let _ = self.device.poll(wgpu::PollType::Poll);
+            fault = match take() {
+                Some(lost @ Fault::Lost(_)) => Some(lost),
+                _ => fault,
+            };
+        }
         let adapter = self.name.clone();
         match fault {
             None => Ok(()),

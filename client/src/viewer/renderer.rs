@@ -183,7 +183,7 @@ impl Renderer {
         let bones_buffer = Growing::new(gpu, "bones", wgpu::BufferUsages::STORAGE)?;
         let bones_group = bones_group(device, &bones_layout, &bones_buffer.buffer);
         let upload = |texture: &Texture| textures::upload(gpu, &texture_layout, texture);
-        let textures = model.textures.iter().map(upload).collect::<Result<_, _>>()?;
+        let textures = model.textures.iter().map(upload).collect();
         let vertices = |mesh: &Mesh| {
             gpu.buffer("triangles", wgpu::BufferUsages::VERTEX, bytemuck::cast_slice::<Vertex, u8>(&mesh.vertices))
         };
