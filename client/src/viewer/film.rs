@@ -92,6 +92,7 @@ pub fn film(options: &Film) -> anyhow::Result<()> {
     views.iter().try_for_each(View::check)?;
     prepare(&options.out, options.overwrite)?;
     let interrupted = interrupted()?;
+    options.over.warn();
     let cast = options.staffage.cast(&mut model)?;
     let gpu = Gpu::offscreen(options.scenery.adapter())?;
     let mut stage = Stage::new(&gpu, &model, &cast.meshes, FORMAT)?;

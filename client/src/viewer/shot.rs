@@ -90,6 +90,7 @@ pub fn looking_along(direction: DVec3) -> Option<DQuat> {
 /// If there is no adapter, the world can't be loaded, or the picture can't be written.
 pub fn shot(options: &Shot) -> anyhow::Result<()> {
     let mut model = options.scenery.model()?;
+    options.over.warn();
     let cast = options.staffage.cast(&mut model)?;
     let orientation = looking_along(options.look - options.eye).context("--look is where --eye is")?;
     let view = View {

@@ -172,6 +172,13 @@ impl Over {
         self.overlay.contains(&show)
     }
 
+    /// Says what can't be shown here: a picture has no connection and no past.
+    pub fn warn(&self) {
+        for show in [Show::Hidden, Show::Charts].into_iter().filter(|show| self.shows(*show)) {
+            tracing::warn!("{show:?} is only to be seen in a window that is connected, or has been open for a while");
+        }
+    }
+
     /// What is drawn over the scene.
     pub fn draw(&self, inspector: &mut Inspector, found: &Found<'_>) -> Overlay {
         let Found { model, view, visible, is_from_there } = *found;

@@ -1,9 +1,9 @@
 //! What do cullers cost, and what do they get wrong? The library part of `eyeline-sim cull`.
 //!
-//! [`world`] says what is looked at and a camera path from where; [`registry`] knows the cullers and what can be chosen for each, [`budget`]
-//! among it, and [`shop`] makes them, [`plp`] with a budget that may change from view to view; [`run`] holds them against the exact set
-//! and the clock (with [`max_pass`] as the yardstick), by [`fragments`] also in z-tests; [`report`] and [`picture`] show it, with the
-//! columns of [`row`].
+//! [`world`] says what is looked at and a [`CameraPath`] from where; [`registry`] knows the cullers and what can be chosen for each,
+//! [`budget`] among it, and [`shop`] makes them, [`plp`] with a budget that may change from view to view; [`run`] holds them against
+//! the exact set and the clock (with [`max_pass`] as the yardstick), by [`fragments`] also in z-tests; [`report`] and [`picture`]
+//! show it, with the columns of [`row`].
 
 pub mod budget;
 pub mod candidate;
