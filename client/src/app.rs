@@ -29,6 +29,10 @@ pub enum Command {
     #[cfg(feature = "viewer")]
     #[command(after_long_help = crate::viewer::shot::EXAMPLES)]
     Shot(Box<crate::viewer::shot::Shot>),
+    /// Make pictures of a world along a recorded path, without a window
+    #[cfg(feature = "viewer")]
+    #[command(after_long_help = crate::viewer::film::EXAMPLES)]
+    Film(Box<crate::viewer::film::Film>),
     /// Look at a world in a window, with a server or without
     #[cfg(feature = "viewer")]
     #[command(after_long_help = crate::viewer::view::EXAMPLES)]
@@ -257,7 +261,7 @@ pub(crate) fn print(text: &str) {
 }
 
 /// Ready when the process is asked to end: Ctrl-C, or SIGTERM where there is such a thing. Listens from the call on.
-fn shutdown_signal() -> anyhow::Result<impl Future<Output = ()>> {
+pub(crate) fn shutdown_signal() -> anyhow::Result<impl Future<Output = ()>> {
     #[cfg(unix)]
     {
         use tokio::signal::unix::{SignalKind, signal};

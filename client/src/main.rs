@@ -33,6 +33,8 @@ fn main() -> ExitCode {
         #[cfg(feature = "viewer")]
         Command::Shot(options) => eyeline_client::viewer::shot::shot(&options),
         #[cfg(feature = "viewer")]
+        Command::Film(options) => eyeline_client::viewer::film::film(&options),
+        #[cfg(feature = "viewer")]
         Command::View(options) => eyeline_client::viewer::view::view(&options),
     };
     match ran {

@@ -7,11 +7,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, Bound, Budget, Cplp, CplpScratch, CpuQuery, Octree, OctreeRules, PixelRect, Plp, PlpCells, PlpRules,
-    PlpScratch, QueryBackEnd as _, QueryKind, Scene, Tessellation, View, image_ray,
+    Aabb, Bound, Budget, Cplp, CplpScratch, CpuQuery, Occupancy, OccupancyQuery, Octree, OctreeRules, PixelRect, Plp,
+    PlpCells, PlpRules, PlpScratch, QueryBackEnd as _, QueryKind, Scene, Tessellation, View, image_ray,
 };
 use glam::{DVec3, Vec2, Vec3Swizzles as _};
 
+use super::font;
 use super::online::HiddenBound;
 use super::overlay::{Color, Overlay};
 
@@ -34,12 +35,30 @@ pub enum Show {
     Inset,
     /// Numbers
     Numbers,
+    /// Messages, visible and hidden, and what each stage takes, over half a minute
+    Charts,
+    /// Tiles of an occupancy map, by the round in which something was first drawn into them (Staneker): blue first, yellow
+    /// last, none where nothing was
+    Occupancy,
+    /// Distance as luminance instead of colours, the nearer the brighter
+    Depth,
 }
 
 impl Show {
     /// All of them, in the order of the keys that switch them.
-    pub const ALL: [Show; 8] =
-        [Show::Cells, Show::Front, Show::Tiles, Show::Hidden, Show::Region, Show::Frustum, Show::Inset, Show::Numbers];
+    pub const ALL: [Show; 11] = [
+        Show::Cells,
+        Show::Front,
+        Show::Tiles,
+        Show::Hidden,
+        Show::Region,
+        Show::Frustum,
+        Show::Inset,
+        Show::Numbers,
+        Show::Charts,
+        Show::Occupancy,
+        Show::Depth,
+    ];
 }
 
 /// How far a traversal that is shown may go.
@@ -74,6 +93,7 @@ struct Cells {
     scratch: PlpScratch,
     cplp: Cplp,
     tiles: CpuQuery,
+    occupancy: OccupancyQuery<CpuQuery>,
     tiles_scratch: CplpScratch,
 }
 
@@ -101,7 +121,8 @@ impl Inspector {
             let plp = Plp::new(Arc::clone(scene), PlpCells::Boxes(Arc::clone(&boxes)), PlpRules::paper());
             let (cplp, tiles) = (Cplp::new(boxes), QueryKind::ItemBufferTiled.back_end());
             let (scratch, tiles_scratch) = (PlpScratch::default(), CplpScratch::default());
-            Cells { octree, plp, scratch, cplp, tiles, tiles_scratch }
+            let occupancy = OccupancyQuery::new(QueryKind::ItemBuffer.back_end(), Occupancy::Single);
+            Cells { octree, plp, scratch, cplp, tiles, occupancy, tiles_scratch }
         })
     }
 
@@ -145,28 +166,76 @@ impl Inspector {
                 finished.entry([tile.x[0], tile.y[0]]).or_insert((tile, round.number));
             }
         });
-        let most = finished.values().map(|(_, round)| *round).max().unwrap_or(1);
-        for (tile, round) in finished.values() {
-            let min = Vec2::new(tile.x[0] as f32, tile.y[0] as f32) + 1.0;
-            let max = Vec2::new(tile.x[1] as f32, tile.y[1] as f32) - 1.0;
-            let late = (*round as f32 - 1.0) / (most as f32 - 1.0).max(1.0);
-            overlay.rectangle(min, max, [late, 0.25 + 0.4 * late, 1.0 - late, 0.3]);
-        }
+        show_by_round(overlay, &finished);
+    }
+
+    /// Draws in which round of cPLP each tile of an occupancy map was first drawn into.
+    pub fn show_occupancy(&mut self, overlay: &mut Overlay, view: &View) {
+        let scene = Arc::clone(&self.scene);
+        let Cells { cplp, occupancy, tiles_scratch, .. } = self.cells();
+        let mut drawn: BTreeMap<[u32; 2], (PixelRect, usize)> = BTreeMap::new();
+        cplp.watch_rounds(&scene, view, Budget::default(), occupancy, tiles_scratch, |round, back_end| {
+            for (tile, _) in back_end.map().tiles().filter(|(_, is_drawn)| *is_drawn) {
+                drawn.entry([tile.x[0], tile.y[0]]).or_insert((tile, round.number));
+            }
+        });
+        show_by_round(overlay, &drawn);
     }
 }
 
-/// Draws bounds of hidden objects.
-pub fn show_hidden(overlay: &mut Overlay, hidden: &[HiddenBound]) {
+/// Draws tiles, blue those of the first round and yellow those of the last.
+fn show_by_round(overlay: &mut Overlay, tiles: &BTreeMap<[u32; 2], (PixelRect, usize)>) {
+    let most = tiles.values().map(|(_, round)| *round).max().unwrap_or(1);
+    for (tile, round) in tiles.values() {
+        let [min, max] = [0, 1].map(|end| Vec2::new(tile.x[end] as f32, tile.y[end] as f32));
+        // A gap between tiles that are large enough for one.
+        let gap = ((max - min).min_element() * 0.1).clamp(0.0, 1.0);
+        let late = (*round as f32 - 1.0) / (most as f32 - 1.0).max(1.0);
+        overlay.rectangle(min + gap, max - gap, [late, 0.25 + 0.4 * late, 1.0 - late, 0.3]);
+    }
+}
+
+/// Draws bounds of hidden objects: as large as they are now, fainter as large as they will grow, and how long they hold yet.
+pub fn show_hidden(overlay: &mut Overlay, hidden: &[HiddenBound], view: &View, scale: f32) {
     /// Who has so many seconds left is as far from red as can be.
     const LONG: f64 = 10.0;
+    /// More labels than this would hide each other.
+    const LABELS_MAX: usize = 40;
     for bound in hidden {
-        let share = (bound.left / LONG).clamp(0.0, 1.0) as f32;
-        let color = [1.0, share, 0.1 + 0.5 * share, 0.9];
+        let color = urgency(bound.left / LONG);
         overlay.wire_sphere(bound.centre, bound.radius, color, true);
+        if bound.radius_in_the_end > bound.radius {
+            let [r, g, b, _] = color;
+            overlay.wire_sphere(bound.centre, bound.radius_in_the_end, [r, g, b, 0.2], true);
+        }
         if let Some(tested) = bound.tested.as_ref().and_then(Bound::outer_box) {
             overlay.wire_box(&tested, [color[0], color[1], color[2], 0.35], true);
         }
     }
+    let mut nearest: Vec<&HiddenBound> = hidden.iter().collect();
+    nearest.sort_by(|a, b| a.centre.distance_squared(view.eye).total_cmp(&b.centre.distance_squared(view.eye)));
+    for bound in nearest.into_iter().take(LABELS_MAX) {
+        let Some(at) = pixel(view, bound.centre) else { continue };
+        let growth = bound.radius_in_the_end - bound.radius;
+        let text = format!("{:.1} s, +{:.1} m", bound.left.max(0.0), growth.max(0.0));
+        let scale = (scale * 0.5).floor().max(1.0);
+        overlay.label(&text, (at - font::size(&text) * scale * 0.5).floor(), scale, urgency(bound.left / LONG));
+    }
+}
+
+/// Red for what is due, pale for what has long to go.
+fn urgency(left: f64) -> Color {
+    let share = left.clamp(0.0, 1.0) as f32;
+    [1.0, share, 0.1 + 0.5 * share, 0.9]
+}
+
+/// Where a point is in the image, in pixels; `None` behind the eye.
+pub fn pixel(view: &View, point: DVec3) -> Option<Vec2> {
+    let local = view.orientation.conjugate() * (point - view.eye);
+    let (focal, depth) = (view.focal_px(), -local.z);
+    let centre = Vec2::new(view.resolution.width as f32, view.resolution.height as f32) * 0.5;
+    let at = Vec2::new((local.x / depth * focal) as f32, (-local.y / depth * focal) as f32);
+    (depth > view.near).then_some(centre + at)
 }
 
 /// Draws the region of eyes.
@@ -291,6 +360,17 @@ mod tests {
     use eyeline_visibility::{Resolution, Sides, Triangle};
 
     use super::*;
+
+    #[test]
+    fn a_ray_through_a_pixel_comes_back_to_it() {
+        let view = View::level(DVec3::new(1.0, 2.0, 3.0), 0.8, 1.3, Resolution::new(320, 200));
+        for (x, y) in [(0.0, 0.0), (160.0, 100.0), (300.0, 20.0)] {
+            let point = view.eye + image_ray(&view, x, y) * 7.0;
+            let found = pixel(&view, point).unwrap();
+            assert!(found.abs_diff_eq(Vec2::new(x as f32, y as f32), 1e-3), "{found}");
+        }
+        assert_eq!(pixel(&view, view.eye - image_ray(&view, 160.0, 100.0)), None);
+    }
 
     #[test]
     fn lines_end_at_the_border() {

@@ -9,10 +9,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Alpha, EncodedImage, LoadError, LoadOptions, Looks, Material, Scene, Sides, TextureUse, Triangle, TriangleLook,
-    load_file_with_looks, load_glb_with_looks,
+    Alpha, Carried, EncodedImage, LoadError, LoadOptions, Looks, Material, Scene, Sides, TextureUse, Triangle,
+    TriangleLook, load_file_with_looks, load_glb_with_looks,
 };
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 
 /// Why there is no model.
 #[derive(Debug, thiserror::Error)]
@@ -35,6 +35,9 @@ pub enum ModelError {
         /// The most pixels a side.
         limit: u32,
     },
+    /// A body is nowhere, or reaches infinitely far.
+    #[error("{0} cannot be an avatar: it has no size")]
+    NoSize(String),
     /// All textures together take more memory than they may.
     #[error("{file}: its textures take {mib} MiB when decoded, more than {limit_mib}; scale them down")]
     TexturesTooMany {
@@ -59,6 +62,33 @@ pub struct Vertex {
     pub uv: [f32; 2],
     /// Linear colour and opacity, 0 to 65,535: the material's times the vertex's.
     pub color: [u16; 4],
+}
+
+/// Which bones carry a corner, as the GPU gets it, 12 bytes.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct SkinCorner {
+    /// Numbers of bones.
+    pub bones: [u8; 4],
+    /// How much each of them carries, in steps of 1/65,535; their sum is one to within rounding.
+    pub weights: [u16; 4],
+}
+
+impl SkinCorner {
+    /// A corner as it was loaded.
+    pub fn new(carried: &Carried) -> SkinCorner {
+        SkinCorner { bones: carried.bones, weights: carried.weights.map(|weight| (weight * 65_535.0).round() as u16) }
+    }
+
+    /// Where bones take a point.
+    pub(super) fn carry(&self, bones: &[[[f32; 4]; 3]], point: Vec3) -> Vec3 {
+        let point = point.extend(1.0);
+        let carried = self.bones.iter().zip(self.weights).map(|(&bone, weight)| {
+            let row = |row: usize| Vec4::from(bones[usize::from(bone)][row]).dot(point);
+            Vec3::new(row(0), row(1), row(2)) * (f32::from(weight) / 65_535.0)
+        });
+        carried.sum()
+    }
 }
 
 /// How a triangle is drawn; triangles of one kind that follow each other are drawn together.
@@ -94,6 +124,8 @@ pub struct Mesh {
     pub vertices: Vec<Vertex>,
     /// One a triangle.
     pub kinds: Vec<Kind>,
+    /// Three a triangle if bones carry it, else none.
+    pub skin: Vec<SkinCorner>,
 }
 
 /// A scene and its looks.
@@ -142,25 +174,48 @@ impl Model {
         let mut warnings = Vec::new();
         let (textures, texture_of) = textures(looks, file, &mut warnings)?;
         let joined = |triangles: &[Triangle], of: &[TriangleLook], name: &str| {
-            let mut mesh = Mesh { name: name.to_owned(), ..Mesh::default() };
-            mesh.vertices.reserve_exact(3 * triangles.len());
-            mesh.kinds.reserve_exact(triangles.len());
-            for (triangle, look) in triangles.iter().zip(of) {
-                let material = &looks.materials[look.material as usize];
-                mesh.kinds.push(Kind {
-                    texture: material.texture.map_or(0, |use_| texture_of[&key(use_)]),
-                    is_two_sided: triangle.sides == Sides::Both,
-                    is_blended: material.alpha == Alpha::Blend,
-                });
-                mesh.vertices.extend((0..3).map(|corner| vertex(triangle, look, material, corner)));
-            }
-            mesh
+            joined(triangles, of, &looks.materials, &texture_of, name)
         };
         let fixed = joined(scene.triangles(), &looks.triangles, "");
         let objects = scene.objects().iter().zip(&looks.objects);
         let objects = objects.map(|(object, looks)| joined(&object.triangles, looks, &object.name)).collect();
         Ok(Model { scene, fixed, objects, textures, warnings })
     }
+
+    /// Further triangles and their looks, from another file, as a mesh. Their textures join the model's.
+    ///
+    /// # Errors
+    /// If the textures are too large.
+    pub(super) fn join(&mut self, triangles: &[Triangle], looks: &Looks, file: &str) -> Result<Mesh, ModelError> {
+        let (textures, mut texture_of) = textures(looks, file, &mut self.warnings)?;
+        // Plain white is there already.
+        let shift = self.textures.len() as u32 - 1;
+        texture_of.values_mut().filter(|number| **number > 0).for_each(|number| *number += shift);
+        self.textures.extend(textures.into_iter().skip(1));
+        Ok(joined(triangles, &looks.triangles, &looks.materials, &texture_of, file))
+    }
+}
+
+fn joined(
+    triangles: &[Triangle],
+    of: &[TriangleLook],
+    materials: &[Material],
+    texture_of: &BTreeMap<Key, u32>,
+    name: &str,
+) -> Mesh {
+    let mut mesh = Mesh { name: name.to_owned(), ..Mesh::default() };
+    mesh.vertices.reserve_exact(3 * triangles.len());
+    mesh.kinds.reserve_exact(triangles.len());
+    for (triangle, look) in triangles.iter().zip(of) {
+        let material = &materials[look.material as usize];
+        mesh.kinds.push(Kind {
+            texture: material.texture.map_or(0, |use_| texture_of[&key(use_)]),
+            is_two_sided: triangle.sides == Sides::Both,
+            is_blended: material.alpha == Alpha::Blend,
+        });
+        mesh.vertices.extend((0..3).map(|corner| vertex(triangle, look, material, corner)));
+    }
+    mesh
 }
 
 fn vertex(triangle: &Triangle, look: &TriangleLook, material: &Material, corner: usize) -> Vertex {

@@ -59,6 +59,8 @@ pub struct HiddenBound {
     pub centre: DVec3,
     /// Its radius now, metres.
     pub radius: f64,
+    /// How large it will be when it expires.
+    pub radius_in_the_end: f64,
     /// What is tested: the ball and what reaches out of it.
     pub tested: Option<Bound>,
     /// How long it holds yet, seconds; below 0 it has expired.
@@ -336,6 +338,7 @@ impl Driver for Eyes {
                 Some(HiddenBound {
                     centre: tbv.centre.metres(),
                     radius: tbv.radius_at(time.latest),
+                    radius_in_the_end: tbv.radius_at(tbv.expires),
                     tested: explained.tested,
                     left: tbv.expires.seconds_since(time.latest),
                 })

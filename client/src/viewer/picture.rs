@@ -6,7 +6,7 @@ use image::RgbaImage;
 use super::gpu::{Gpu, GpuError};
 use super::model::{Mesh, Model};
 use super::overlay::{Overlay, OverlayPass};
-use super::renderer::{DEPTH, DrawStats, Frame, Renderer};
+use super::renderer::{DEPTH, DrawStats, Frame, Renderer, Shade};
 
 /// Format of pictures.
 pub const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
@@ -52,6 +52,8 @@ impl Stage {
             self.depth = Some((resolution, texture.create_view(&wgpu::TextureViewDescriptor::default())));
         }
         let Some((_, depth)) = &self.depth else { unreachable!("made above") };
+        // Nothing is infinitely far, and black.
+        let sky = if self.renderer.shade == Shade::Depth { wgpu::Color::BLACK } else { SKY };
         let prepared = self.renderer.prepare(gpu, frame)?;
         let over = self.overlays.prepare(gpu, overlay, resolution)?;
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
@@ -61,7 +63,7 @@ impl Stage {
                 view: image,
                 depth_slice: None,
                 resolve_target: None,
-                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(SKY), store: wgpu::StoreOp::Store },
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(sky), store: wgpu::StoreOp::Store },
             })],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                 view: depth,

@@ -10,8 +10,10 @@ use std::ops::Range;
 use eyeline_visibility::{Resolution, View};
 use glam::{DMat4, DQuat, DVec3, DVec4, Mat4};
 
+use super::avatar::Bones;
 use super::gpu::{Gpu, GpuError};
 use super::model::{Kind, Mesh, Model, Texture, Vertex};
+use super::pipelines::{bones_group, bones_layout, pipeline_index, pipelines, texture_layout};
 use super::textures;
 
 /// What is drawn in a frame, besides overlays.
@@ -36,7 +38,22 @@ pub struct Moving {
     pub orientation: DQuat,
     /// Linear colour that its own is multiplied by, 0 to 1.
     pub tint: [f32; 3],
+    /// The first of its bones in [`Renderer::bones`], if bones carry its mesh.
+    pub first_bone: Option<u32>,
 }
+
+/// What surfaces are drawn as.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Shade {
+    /// In their colours, lit.
+    #[default]
+    Lit,
+    /// By their distance d: the nearer the brighter, h²/(h + d)² of the light with h = [`HALF_BRIGHT`].
+    Depth,
+}
+
+/// Metres at which depth as luminance looks about half as bright as before one's eyes: a quarter of the light.
+pub const HALF_BRIGHT: f64 = 2.5;
 
 /// What a frame took.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -62,9 +79,11 @@ struct Camera {
 /// Where a mesh stands as the shader gets it: three rows, and the tint.
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-struct Instance {
+pub(super) struct Instance {
     rows: [[f32; 4]; 3],
     tint: [f32; 4],
+    /// The first bone, and three that are nothing.
+    first_bone: [u32; 4],
 }
 
 /// Format of all depth images: reversed, so that precision is spread evenly over distances.
@@ -75,8 +94,15 @@ pub struct Renderer {
     camera: wgpu::Buffer,
     camera_group: wgpu::BindGroup,
     camera_layout: wgpu::BindGroupLayout,
-    /// By [`pipeline_index`].
+    /// By [`pipeline_index`], first those of meshes that nothing carries.
     pipelines: Vec<wgpu::RenderPipeline>,
+    bones_layout: wgpu::BindGroupLayout,
+    bones_buffer: Growing,
+    bones_group: wgpu::BindGroup,
+    /// Bones of everybody in the next frame.
+    pub bones: Bones,
+    /// What surfaces are drawn as.
+    pub shade: Shade,
     textures: Vec<wgpu::BindGroup>,
     fixed: wgpu::Buffer,
     kinds: Vec<Kind>,
@@ -88,6 +114,8 @@ pub struct Renderer {
 /// A mesh that moves.
 struct GpuMesh {
     vertices: wgpu::Buffer,
+    /// Which bones carry each.
+    skin: Option<wgpu::Buffer>,
     /// Ranges of vertices of one kind.
     parts: Vec<(Kind, Range<u32>)>,
 }
@@ -105,13 +133,15 @@ impl Growing {
         Ok(Growing { label, usage, buffer: gpu.empty_buffer(label, usage, 1 << 12)? })
     }
 
-    fn write(&mut self, gpu: &Gpu, bytes: &[u8]) -> Result<(), GpuError> {
-        if bytes.len() as u64 > self.buffer.size() {
+    /// Writes and says whether it is another buffer now.
+    fn write(&mut self, gpu: &Gpu, bytes: &[u8]) -> Result<bool, GpuError> {
+        let is_too_small = bytes.len() as u64 > self.buffer.size();
+        if is_too_small {
             // By half more, lest a set that grows slowly be allocated anew each frame.
             self.buffer = gpu.empty_buffer(self.label, self.usage, bytes.len() as u64 * 3 / 2)?;
         }
         gpu.queue.write_buffer(&self.buffer, 0, bytes);
-        Ok(())
+        Ok(is_too_small)
     }
 }
 
@@ -149,15 +179,21 @@ impl Renderer {
             entries: &[wgpu::BindGroupEntry { binding: 0, resource: camera.as_entire_binding() }],
         });
         let texture_layout = texture_layout(device);
-        let pipelines = pipelines(device, &camera_layout, &texture_layout, format);
+        let bones_layout = bones_layout(device);
+        let pipelines = pipelines(device, [&camera_layout, &texture_layout, &bones_layout], format);
+        let bones_buffer = Growing::new(gpu, "bones", wgpu::BufferUsages::STORAGE)?;
+        let bones_group = bones_group(device, &bones_layout, &bones_buffer.buffer);
         let upload = |texture: &Texture| textures::upload(gpu, &texture_layout, texture);
-        let textures = model.textures.iter().map(upload).collect::<Result<_, _>>()?;
+        let textures = model.textures.iter().map(upload).collect();
         let vertices = |mesh: &Mesh| {
             gpu.buffer("triangles", wgpu::BufferUsages::VERTEX, bytemuck::cast_slice::<Vertex, u8>(&mesh.vertices))
         };
         let mesh = |mesh: &Mesh| {
             let parts = runs((0..).zip(mesh.kinds.iter().copied()));
-            Ok(GpuMesh { vertices: vertices(mesh)?, parts })
+            let skin = (!mesh.skin.is_empty())
+                .then(|| gpu.buffer("skin", wgpu::BufferUsages::VERTEX, bytemuck::cast_slice(&mesh.skin)))
+                .transpose()?;
+            Ok(GpuMesh { vertices: vertices(mesh)?, skin, parts })
         };
         let fixed = vertices(&model.fixed)?;
         let meshes = model.objects.iter().chain(more).map(mesh).collect::<Result<_, GpuError>>()?;
@@ -167,6 +203,11 @@ impl Renderer {
             camera_group,
             camera_layout,
             pipelines,
+            bones_layout,
+            bones_buffer,
+            bones_group,
+            bones: Bones::default(),
+            shade: Shade::Lit,
             textures,
             fixed,
             kinds: model.fixed.kinds.clone(),
@@ -189,23 +230,44 @@ impl Renderer {
     /// # Errors
     /// If there is no room for it.
     pub fn prepare(&mut self, gpu: &Gpu, frame: &Frame<'_>) -> Result<Prepared, GpuError> {
-        gpu.queue.write_buffer(&self.camera, 0, bytemuck::bytes_of(&camera(&frame.view)));
+        gpu.queue.write_buffer(&self.camera, 0, bytemuck::bytes_of(&camera(&frame.view, self.shade)));
         let mut indices: Vec<u32> = Vec::with_capacity(3 * frame.visible.len());
         indices.extend(frame.visible.iter().flat_map(|&id| 3 * id..3 * id + 3));
         self.indices.write(gpu, bytemuck::cast_slice(&indices))?;
+        self.write_bones(gpu)?;
         let kinds = frame.visible.iter().map(|&id| self.kinds[id as usize]);
-        let mut instances = vec![Instance { rows: rows(&DMat4::IDENTITY), tint: [1.0; 4] }];
+        let mut instances = vec![Instance { rows: rows(&DMat4::IDENTITY), tint: [1.0; 4], first_bone: [0; 4] }];
         instances.extend(frame.moving.iter().map(|moving| {
             let [r, g, b] = moving.tint;
             let place = DMat4::from_rotation_translation(moving.orientation, moving.position);
-            Instance { rows: rows(&place), tint: [r, g, b, 1.0] }
+            let first_bone = [moving.first_bone.unwrap_or(0), 0, 0, 0];
+            Instance { rows: rows(&place), tint: [r, g, b, 1.0], first_bone }
         }));
         self.instances.write(gpu, bytemuck::cast_slice(&instances))?;
         Ok(Prepared {
             runs: runs((0..).zip(kinds)),
-            meshes: frame.moving.iter().map(|moving| moving.mesh).collect(),
+            meshes: frame.moving.iter().map(|moving| (moving.mesh, moving.first_bone.is_some())).collect(),
             stats: DrawStats { primitives: frame.visible.len(), ..DrawStats::default() },
         })
+    }
+
+    fn write_bones(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
+        let bytes = bytemuck::cast_slice::<[[f32; 4]; 3], u8>(&self.bones.0);
+        let limit = gpu.device.limits().max_storage_buffer_binding_size;
+        // As large as the buffer may become.
+        if bytes.len() as u64 * 3 / 2 > limit {
+            return Err(GpuError::TooLarge {
+                what: "the bones of all people".into(),
+                size: format!("{} MiB", bytes.len() >> 20),
+                adapter: gpu.name().to_owned(),
+                limit: format!("{} MiB", (limit * 2 / 3) >> 20),
+                remedy: "take an avatar with fewer, or none",
+            });
+        }
+        if !bytes.is_empty() && self.bones_buffer.write(gpu, bytes)? {
+            self.bones_group = bones_group(&gpu.device, &self.bones_layout, &self.bones_buffer.buffer);
+        }
+        Ok(())
     }
 
     /// Draws what was prepared last.
@@ -217,15 +279,20 @@ impl Renderer {
         for is_blended in [false, true] {
             pass.set_vertex_buffer(0, self.fixed.slice(..));
             for (kind, range) in prepared.runs.iter().filter(|(kind, _)| kind.is_blended == is_blended) {
-                self.set(pass, *kind);
+                self.set(pass, *kind, false);
                 pass.draw_indexed(range.clone(), 0, 0..1);
                 stats.draws += 1;
             }
-            for (instance, &mesh) in (1..).zip(&prepared.meshes) {
+            for (instance, &(mesh, has_bones)) in (1..).zip(&prepared.meshes) {
                 let mesh = &self.meshes[mesh];
                 pass.set_vertex_buffer(0, mesh.vertices.slice(..));
+                let skin = mesh.skin.as_ref().filter(|_| has_bones);
+                if let Some(skin) = skin {
+                    pass.set_vertex_buffer(2, skin.slice(..));
+                    pass.set_bind_group(2, &self.bones_group, &[]);
+                }
                 for (kind, range) in mesh.parts.iter().filter(|(kind, _)| kind.is_blended == is_blended) {
-                    self.set(pass, *kind);
+                    self.set(pass, *kind, skin.is_some());
                     pass.draw(range.clone(), instance..instance + 1);
                     stats.moving += range.len() / 3;
                     stats.draws += 1;
@@ -235,8 +302,8 @@ impl Renderer {
         stats
     }
 
-    fn set(&self, pass: &mut wgpu::RenderPass<'_>, kind: Kind) {
-        pass.set_pipeline(&self.pipelines[pipeline_index(kind)]);
+    fn set(&self, pass: &mut wgpu::RenderPass<'_>, kind: Kind, is_carried: bool) {
+        pass.set_pipeline(&self.pipelines[pipeline_index(kind, is_carried)]);
         pass.set_bind_group(1, &self.textures[kind.texture as usize], &[]);
     }
 }
@@ -244,7 +311,8 @@ impl Renderer {
 /// A frame whose data is on the GPU.
 pub struct Prepared {
     runs: Vec<Run>,
-    meshes: Vec<usize>,
+    /// Which mesh, and whether it has bones.
+    meshes: Vec<(usize, bool)>,
     stats: DrawStats,
 }
 
@@ -277,7 +345,7 @@ fn clip_from_view(view: &View) -> DMat4 {
     )
 }
 
-fn camera(view: &View) -> Camera {
+fn camera(view: &View, shade: Shade) -> Camera {
     let turn = DMat4::from_quat(view.orientation.normalize().conjugate());
     let clip_from_eye: Mat4 = (clip_from_view(view) * turn).as_mat4();
     let eye = view.eye.as_vec3();
@@ -286,105 +354,10 @@ fn camera(view: &View) -> Camera {
     let sun = DVec3::new(0.36, 0.8, 0.48).normalize().as_vec3();
     Camera {
         clip_from_eye: clip_from_eye.to_cols_array_2d(),
-        eye: eye.extend(0.0).to_array(),
+        eye: eye.extend(if shade == Shade::Depth { HALF_BRIGHT as f32 } else { 0.0 }).to_array(),
         eye_rest: rest.extend(0.0).to_array(),
         sun: sun.extend(0.35).to_array(),
     }
-}
-
-fn pipeline_index(kind: Kind) -> usize {
-    usize::from(kind.is_two_sided) + 2 * usize::from(kind.is_blended)
-}
-
-fn texture_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("texture"),
-        entries: &[
-            wgpu::BindGroupLayoutEntry {
-                binding: 0,
-                visibility: wgpu::ShaderStages::FRAGMENT,
-                ty: wgpu::BindingType::Texture {
-                    sample_type: wgpu::TextureSampleType::Float { filterable: true },
-                    view_dimension: wgpu::TextureViewDimension::D2,
-                    multisampled: false,
-                },
-                count: None,
-            },
-            wgpu::BindGroupLayoutEntry {
-                binding: 1,
-                visibility: wgpu::ShaderStages::FRAGMENT,
-                ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
-                count: None,
-            },
-        ],
-    })
-}
-
-fn pipelines(
-    device: &wgpu::Device,
-    camera: &wgpu::BindGroupLayout,
-    texture: &wgpu::BindGroupLayout,
-    format: wgpu::TextureFormat,
-) -> Vec<wgpu::RenderPipeline> {
-    let shader = device.create_shader_module(wgpu::include_wgsl!("scene.wgsl"));
-    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some("scene"),
-        bind_group_layouts: &[Some(camera), Some(texture)],
-        immediate_size: 0,
-    });
-    let corner = wgpu::vertex_attr_array![0 => Float32x3, 1 => Snorm8x4, 2 => Float32x2, 3 => Unorm16x4];
-    let place = wgpu::vertex_attr_array![4 => Float32x4, 5 => Float32x4, 6 => Float32x4, 7 => Float32x4];
-    let buffers = [
-        Some(wgpu::VertexBufferLayout {
-            array_stride: size_of::<Vertex>() as u64,
-            step_mode: wgpu::VertexStepMode::Vertex,
-            attributes: &corner,
-        }),
-        Some(wgpu::VertexBufferLayout {
-            array_stride: size_of::<Instance>() as u64,
-            step_mode: wgpu::VertexStepMode::Instance,
-            attributes: &place,
-        }),
-    ];
-    let pipeline = |index: usize| {
-        let (is_two_sided, is_blended) = (index & 1 == 1, index & 2 == 2);
-        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some("scene"),
-            layout: Some(&layout),
-            vertex: wgpu::VertexState {
-                module: &shader,
-                entry_point: Some("vertex"),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                buffers: &buffers,
-            },
-            primitive: wgpu::PrimitiveState {
-                cull_mode: (!is_two_sided).then_some(wgpu::Face::Back),
-                ..wgpu::PrimitiveState::default()
-            },
-            depth_stencil: Some(wgpu::DepthStencilState {
-                format: DEPTH,
-                depth_write_enabled: Some(!is_blended),
-                // Greater is nearer; of equally near ones the first stays.
-                depth_compare: Some(wgpu::CompareFunction::Greater),
-                stencil: wgpu::StencilState::default(),
-                bias: wgpu::DepthBiasState::default(),
-            }),
-            multisample: wgpu::MultisampleState::default(),
-            fragment: Some(wgpu::FragmentState {
-                module: &shader,
-                entry_point: Some(if is_blended { "blended" } else { "opaque" }),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                targets: &[Some(wgpu::ColorTargetState {
-                    format,
-                    blend: is_blended.then_some(wgpu::BlendState::ALPHA_BLENDING),
-                    write_mask: wgpu::ColorWrites::ALL,
-                })],
-            }),
-            multiview_mask: None,
-            cache: None,
-        })
-    };
-    (0..4).map(pipeline).collect()
 }
 
 #[cfg(test)]
@@ -400,7 +373,7 @@ mod tests {
             resolution: Resolution::new(200, 100),
             near: 0.5,
         };
-        let camera = camera(&view);
+        let camera = camera(&view, Shade::Lit);
         let clip = Mat4::from_cols_array_2d(&camera.clip_from_eye).as_dmat4();
         let project = |x: f64, y: f64, distance: f64| {
             let ray = eyeline_visibility::image_ray(&view, x, y);

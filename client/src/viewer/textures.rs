@@ -2,22 +2,23 @@
 
 use eyeline_visibility::Wrap;
 
-use super::gpu::{Gpu, GpuError};
+use super::gpu::Gpu;
 use super::model::Texture;
 
-/// A texture and its sampler, for group 1 of the scene's shader.
-pub fn upload(gpu: &Gpu, layout: &wgpu::BindGroupLayout, texture: &Texture) -> Result<wgpu::BindGroup, GpuError> {
+/// A texture and its sampler, for group 1 of the scene's shader. One that is larger than the adapter takes is made smaller.
+pub fn upload(gpu: &Gpu, layout: &wgpu::BindGroupLayout, texture: &Texture) -> wgpu::BindGroup {
     let limit = gpu.device.limits().max_texture_dimension_2d;
-    if texture.width.max(texture.height) > limit {
-        return Err(GpuError::TooLarge {
-            what: "a texture".into(),
-            size: format!("{}x{} pixels", texture.width, texture.height),
-            adapter: gpu.name().to_owned(),
-            limit: format!("{limit} a side"),
-            remedy: "scale it down",
-        });
+    let (mut width, mut height) = (texture.width, texture.height);
+    let mut copy: Option<Vec<u8>> = None;
+    while width.max(height) > limit {
+        copy = Some(halved(copy.as_deref().unwrap_or(&texture.rgba), width, height));
+        (width, height) = ((width / 2).max(1), (height / 2).max(1));
     }
-    let size = wgpu::Extent3d { width: texture.width, height: texture.height, depth_or_array_layers: 1 };
+    if copy.is_some() {
+        let (of, takes) = ((texture.width, texture.height), (width, height));
+        tracing::warn!("a texture of {of:?} pixels is drawn as one of {takes:?}: {} takes {limit} a side", gpu.name());
+    }
+    let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
     let levels = size.max_mips(wgpu::TextureDimension::D2);
     let image = gpu.device.create_texture(&wgpu::TextureDescriptor {
         label: Some("texture"),
@@ -29,8 +30,6 @@ pub fn upload(gpu: &Gpu, layout: &wgpu::BindGroupLayout, texture: &Texture) -> R
         usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
     });
-    let (mut width, mut height) = (texture.width, texture.height);
-    let mut copy: Option<Vec<u8>> = None;
     for level in 0..levels {
         let pixels = copy.as_deref().unwrap_or(&texture.rgba);
         let place = wgpu::TexelCopyTextureInfo { mip_level: level, ..image.as_image_copy() };
@@ -43,7 +42,7 @@ pub fn upload(gpu: &Gpu, layout: &wgpu::BindGroupLayout, texture: &Texture) -> R
         }
     }
     let sampler = gpu.device.create_sampler(&sampler(texture));
-    Ok(gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+    gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: Some("texture"),
         layout,
         entries: &[
@@ -55,7 +54,7 @@ pub fn upload(gpu: &Gpu, layout: &wgpu::BindGroupLayout, texture: &Texture) -> R
             },
             wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&sampler) },
         ],
-    }))
+    })
 }
 
 fn sampler(texture: &Texture) -> wgpu::SamplerDescriptor<'static> {

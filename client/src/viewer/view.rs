@@ -84,6 +84,15 @@ pub struct ViewOptions {
     #[arg(long, value_name = "DIR", default_value = ".")]
     pictures: PathBuf,
 
+    /// What people look like: a glTF model with a skin, whose clips named like idle, walk and run are played
+    /// [default: capsules]
+    #[arg(long, value_name = "FILE")]
+    avatar: Option<PathBuf>,
+
+    /// Write the way that is gone, as a camera path for `film` and `eyeline-sim cull --path`, when the window closes
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+
     /// End after so long
     #[arg(long, value_name = "SECONDS", value_parser = number(0.1..=1e6, "s"))]
     seconds: Option<f64>,
@@ -95,13 +104,16 @@ pub const EXAMPLES: &str = "Keys:
   Shift              run
   F, Space, C        fly where one may, up, down
   1 to 8             cells, front, tiles, hidden, region, frustum, inset, numbers
+  9 0 -              charts, occupancy map, depth
   R                  freeze what is culled for, and look at it from outside
   N, B, V            one cell more, one less, all cells of the traversal that is shown
   P                  write a picture
 
 Examples:
   eyeline-client view --world rooms.glb
-  eyeline-client view --server-file ready.txt --overlay inset,numbers --name Ada";
+  eyeline-client view --server-file ready.txt --overlay inset,numbers --name Ada
+  eyeline-client view --server-file ready.txt --avatar Fox.glb --overlay charts
+  eyeline-client view --world rooms.glb --record walk.json";
 
 /// Runs `view`.
 ///
@@ -109,6 +121,9 @@ Examples:
 /// If the world can't be had, no window can be opened, or the device or the connection is lost.
 pub fn view(options: &ViewOptions) -> anyhow::Result<()> {
     let mut viewing = if options.target.is_given() { connected(options)? } else { alone(options)? };
+    if let Some(file) = &options.avatar {
+        viewing.dress(file)?;
+    }
     viewing.fov_x = options.fov.to_radians();
     viewing.shows.extend(options.overlay.iter().copied());
     let name = options.world.world.as_ref().and_then(|path| path.file_name());
@@ -121,6 +136,7 @@ pub fn view(options: &ViewOptions) -> anyhow::Result<()> {
             adapter: if options.software { AdapterChoice::Software } else { AdapterChoice::Best },
             pictures: options.pictures.clone(),
             end_after: options.seconds.map(Duration::from_secs_f64),
+            record: options.record.clone(),
         },
     )
 }

@@ -2,20 +2,23 @@
 //! keys, out comes what is to be drawn.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use eyeline_protocol::{ObjectId, PlanSwitch, Welcome};
+use eyeline_protocol::{Class, Extent, ObjectId, PlanSwitch, Welcome};
 use eyeline_visibility::{Resolution, View};
 use glam::{DQuat, DVec3, Vec2};
 
+use super::avatar::{Avatar, Bones, Motion};
+use super::charts::{Charts, Sample};
 use super::font;
-use super::inspect::{self, Inspector, Plan, Show, Stop};
-use super::model::{Mesh, Model, capsule};
+use super::inspect::{self, Inspector, Plan, Show, Stop, pixel};
+use super::model::{Mesh, Model, ModelError, capsule};
 use super::online::{News, Online, Seen};
 use super::overlay::Overlay;
 use super::player::{Held, Player};
-use super::renderer::Moving;
+use super::renderer::{Moving, Shade};
 use super::sight::{CullerKind, Sight};
 use super::walk::{Body, Ground};
 
@@ -27,6 +30,10 @@ pub struct Composed {
     pub visible: Vec<u32>,
     /// What moves.
     pub moving: Vec<Moving>,
+    /// The bones of people.
+    pub bones: Bones,
+    /// What surfaces are drawn as.
+    pub shade: Shade,
     /// What is drawn over it.
     pub overlay: Overlay,
 }
@@ -36,6 +43,7 @@ pub struct Composed {
 struct Shown {
     position: DVec3,
     orientation: DQuat,
+    motion: Motion,
 }
 
 /// For so long a wrong place is glided out of, seconds: to a third of it.
@@ -52,6 +60,11 @@ pub struct Viewing {
     online: Option<(Online, Welcome)>,
     news: News,
     shown: BTreeMap<ObjectId, Shown>,
+    /// What people look like, if not like capsules.
+    avatar: Option<Avatar>,
+    bones: Bones,
+    charts: Charts,
+    drew: Duration,
     /// Who looks.
     pub player: Player,
     /// Whether one may fly.
@@ -100,6 +113,10 @@ impl Viewing {
             online,
             news: News::default(),
             shown: BTreeMap::new(),
+            avatar: None,
+            bones: Bones::default(),
+            charts: Charts::default(),
+            drew: Duration::ZERO,
             player,
             fov_x: 1.4,
             shows: BTreeSet::new(),
@@ -117,7 +134,44 @@ impl Viewing {
     /// Bodies for classes without a mesh, in the order of classes, behind the model's own objects.
     pub fn bodies(&self) -> Vec<Mesh> {
         let classes = self.online.as_ref().map_or(&[][..], |(_, welcome)| &welcome.classes);
-        classes.iter().map(|class| capsule(class.extent.radius, class.extent.bottom, class.extent.top)).collect()
+        let body = |(class, of): (usize, &Class)| match self.avatar.as_ref().filter(|_| class == 0) {
+            Some(avatar) => avatar.mesh().clone(),
+            None => capsule(of.extent.radius, of.extent.bottom, of.extent.top),
+        };
+        classes.iter().enumerate().map(body).collect()
+    }
+
+    /// Has people look like a model with a skin. Ahead of [`Viewing::bodies`].
+    ///
+    /// # Errors
+    /// If it can't be had.
+    pub fn dress(&mut self, file: &Path) -> Result<(), ModelError> {
+        // Avatars are the first class.
+        let class = self.online.as_ref().and_then(|(_, welcome)| welcome.classes.first());
+        let Extent { radius, bottom, top } = class.map_or_else(usual_extent, |class| class.extent);
+        self.avatar = Some(Avatar::load_file(file, &mut self.model, radius, bottom, top)?);
+        Ok(())
+    }
+
+    /// What drawing the last frame took, for the charts.
+    pub fn drew(&mut self, took: Duration) {
+        self.drew = took;
+    }
+
+    /// Puts a frame into the charts.
+    fn measure(&mut self, seconds: f64, visible: usize, cull: Duration) {
+        let ms = |took: Duration| took.as_secs_f64() * 1e3;
+        let numbers = &self.news.numbers;
+        let (counts, stages) = match &self.online {
+            Some(_) => {
+                let (seen, hidden, _) = numbers.counts;
+                ([seen, hidden], [ms(cull) + ms(numbers.took.0), ms(numbers.took.1), ms(self.drew)])
+            }
+            None => ([visible, self.model.scene.triangles().len() - visible], [ms(cull), 0.0, ms(self.drew)]),
+        };
+        let messages = [numbers.messages.1, numbers.messages.0];
+        let sample = Sample { messages, counts: counts.map(|count| count as f64), stages };
+        self.charts.add(seconds, &sample);
     }
 
     /// The measures of one's own body, as the server has them.
@@ -149,6 +203,11 @@ impl Viewing {
     /// Whether what is culled for is frozen.
     pub fn is_frozen(&self) -> bool {
         self.frozen.is_some()
+    }
+
+    /// Objects in sight, held hidden, and asked about, as of the tracker's newest frame.
+    pub fn counts(&self) -> (usize, usize, usize) {
+        self.news.numbers.counts
     }
 
     /// Why the connection is over, if it is.
@@ -197,9 +256,13 @@ impl Viewing {
             None => cull_took(&mut || visible.clone_from(&self.sight.look(&view).visible)),
         };
         self.frame.add(seconds, took.as_secs_f64());
-        let moving = self.shown.iter().filter_map(|(object, shown)| self.moving(*object, shown)).collect();
+        self.bones.clear();
+        let shown: Vec<_> = self.shown.iter().map(|(object, shown)| (*object, *shown)).collect();
+        let moving = shown.iter().filter_map(|(object, shown)| self.moving(*object, shown)).collect();
+        self.measure(seconds, visible.len(), took);
         let overlay = self.overlay(&view, &visible, scale);
-        Composed { view, visible, moving, overlay }
+        let shade = if self.shows.contains(&Show::Depth) { Shade::Depth } else { Shade::Lit };
+        Composed { view, visible, moving, bones: self.bones.clone(), shade, overlay }
     }
 
     /// Moves what is shown to where it is by now.
@@ -209,26 +272,30 @@ impl Viewing {
         let mut before = std::mem::take(&mut self.shown);
         for Seen { object, position, velocity, orientation } in &self.news.seen {
             let (position, orientation) = (*position + *velocity * age, *orientation);
-            let shown = match before.remove(object) {
+            let mut shown = match before.remove(object) {
                 Some(shown) if shown.position.distance(position) < JUMP => {
                     let position = position.lerp(shown.position + *velocity * seconds, stay);
-                    Shown { position, orientation: orientation.slerp(shown.orientation, stay).normalize() }
+                    let orientation = orientation.slerp(shown.orientation, stay).normalize();
+                    Shown { position, orientation, motion: shown.motion }
                 }
-                _ => Shown { position, orientation },
+                _ => Shown { position, orientation, motion: Motion::default() },
             };
+            if let Some(avatar) = &self.avatar {
+                shown.motion.go_on(avatar, velocity.length(), seconds);
+            }
             self.shown.insert(*object, shown);
         }
     }
 
-    fn moving(&self, object: ObjectId, shown: &Shown) -> Option<Moving> {
+    fn moving(&mut self, object: ObjectId, shown: &Shown) -> Option<Moving> {
         let named = self.news.names.get(&object)?;
         let of_node = self.model.objects.iter().position(|mesh| !named.node.is_empty() && mesh.name == named.node);
         let mesh = of_node.unwrap_or(self.model.objects.len() + usize::from(named.class.0));
-        // People without a mesh are told apart by colour: hues a golden section apart, so that neighbours differ.
-        let hue = f64::from(object.0) * 0.618_034 * std::f64::consts::TAU;
-        let part = |shift: f64| (0.55 + 0.4 * (hue + shift).cos()) as f32;
-        let tint = if of_node.is_some() { [1.0; 3] } else { [part(0.0), part(2.1), part(4.2)] };
-        Some(Moving { mesh, position: shown.position, orientation: shown.orientation, tint })
+        let body = if of_node.is_none() && named.class.0 == 0 { self.avatar.as_ref() } else { None };
+        let first_bone = body.map(|avatar| self.bones.pose(avatar, &shown.motion));
+        // People without a look of their own are told apart by colour.
+        let tint = if of_node.is_some() || body.is_some() { [1.0; 3] } else { hue(object.0) };
+        Some(Moving { mesh, position: shown.position, orientation: shown.orientation, tint, first_bone })
     }
 
     fn overlay(&mut self, view: &View, visible: &[u32], scale: f32) -> Overlay {
@@ -246,9 +313,12 @@ impl Viewing {
         if self.shows.contains(&Show::Tiles) && self.frozen.is_none() {
             self.inspector.show_tiles(&mut overlay, view);
         }
+        if self.shows.contains(&Show::Occupancy) && self.frozen.is_none() {
+            self.inspector.show_occupancy(&mut overlay, view);
+        }
         let shows = |show| self.shows.contains(&show);
         if shows(Show::Hidden) {
-            inspect::show_hidden(&mut overlay, &self.news.hidden);
+            inspect::show_hidden(&mut overlay, &self.news.hidden, view, scale);
         }
         // From inside, these are nothing but lines before one's eyes.
         if self.frozen.is_some() && shows(Show::Region) {
@@ -263,6 +333,10 @@ impl Viewing {
             let (scene, hidden) = (&self.model.scene, &self.news.hidden[..]);
             let plan = Plan { scene, visible, view: &looked, seen: &seen, hidden, traversed: traversed.as_ref() };
             inspect::show_inset(&mut overlay, &plan, scale);
+        }
+        if shows(Show::Charts) {
+            let counted = if self.online.is_some() { "objects" } else { "triangles" };
+            self.charts.draw(&mut overlay, view.resolution, (scale * 0.5).max(1.0), counted);
         }
         if shows(Show::Numbers) {
             overlay.label(&self.numbers(visible.len()), Vec2::splat(4.0 * scale), scale, [1.0; 4]);
@@ -315,32 +389,18 @@ impl Viewing {
     }
 }
 
+fn usual_extent() -> Extent {
+    let Body { radius, height, .. } = Body::default();
+    Extent { radius, bottom: 0.0, top: height }
+}
+
 fn yaw_of(view: &View) -> f64 {
     let forward = view.orientation * DVec3::NEG_Z;
     (-forward.x).atan2(-forward.z)
 }
 
-/// Where a point is in the image, in pixels; `None` behind the eye.
-fn pixel(view: &View, point: DVec3) -> Option<Vec2> {
-    let local = view.orientation.conjugate() * (point - view.eye);
-    let (focal, depth) = (view.focal_px(), -local.z);
-    let centre = Vec2::new(view.resolution.width as f32, view.resolution.height as f32) * 0.5;
-    let at = Vec2::new((local.x / depth * focal) as f32, (-local.y / depth * focal) as f32);
-    (depth > view.near).then_some(centre + at)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_ray_through_a_pixel_comes_back_to_it() {
-        let view = View::level(DVec3::new(1.0, 2.0, 3.0), 0.8, 1.3, Resolution::new(320, 200));
-        for (x, y) in [(0.0, 0.0), (160.0, 100.0), (300.0, 20.0)] {
-            let point = view.eye + eyeline_visibility::image_ray(&view, x, y) * 7.0;
-            let found = pixel(&view, point).unwrap();
-            assert!(found.abs_diff_eq(Vec2::new(x as f32, y as f32), 1e-3), "{found}");
-        }
-        assert_eq!(pixel(&view, view.eye - eyeline_visibility::image_ray(&view, 160.0, 100.0)), None);
-    }
+/// A colour that tells one person from the next: hues a golden section apart.
+pub fn hue(number: u32) -> [f32; 3] {
+    let hue = f64::from(number) * 0.618_034 * std::f64::consts::TAU;
+    [0.0, 2.1, 4.2].map(|shift: f64| (0.55 + 0.4 * (hue + shift).cos()) as f32)
 }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eyeline_visibility::Resolution;
+use wgpu::CurrentSurfaceTexture as Current;
 use winit::application::ApplicationHandler;
 use winit::dpi::LogicalSize;
 use winit::event::{DeviceEvent, DeviceId, ElementState, MouseButton, WindowEvent};
@@ -19,6 +20,7 @@ use super::gpu::{self, AdapterChoice, Gpu, GpuError};
 use super::inspect::Show;
 use super::picture::Stage;
 use super::player::Held;
+use super::record::Recorder;
 use super::renderer::Frame;
 use super::viewing::Viewing;
 use crate::app::print;
@@ -36,6 +38,8 @@ pub struct WindowOptions {
     pub pictures: PathBuf,
     /// End after so long.
     pub end_after: Option<Duration>,
+    /// Where the way that was gone is written, as a camera path.
+    pub record: Option<PathBuf>,
 }
 
 /// Radians a second by arrow keys, and a pixel of the mouse.
@@ -54,6 +58,7 @@ pub fn run(viewing: Viewing, options: WindowOptions) -> anyhow::Result<()> {
     })?;
     events.set_control_flow(ControlFlow::Poll);
     let began = Instant::now();
+    let recorder = options.record.is_some().then(Recorder::default);
     let mut app = App {
         viewing,
         options,
@@ -65,12 +70,56 @@ pub fn run(viewing: Viewing, options: WindowOptions) -> anyhow::Result<()> {
         last: began,
         pictures: 0,
         wants_picture: false,
+        recorder,
         failed: None,
     };
     events.run_app(&mut app)?;
+    // Whatever ended it: the way was gone.
+    if let (Some(recorder), Some(file)) = (&app.recorder, &app.options.record) {
+        match recorder.write(file) {
+            Ok(written) => print(&format!("{written}\n")),
+            Err(error) => app.failed = app.failed.take().or(Some(error)),
+        }
+    }
     match app.failed.take() {
         Some(error) => Err(error),
         None => Ok(()),
+    }
+}
+
+/// The size of images for a window of a size in physical pixels; `None` if there is nothing to draw on, as when it is minimised.
+fn drawable(width: u32, height: u32, most: u32) -> Option<Resolution> {
+    (width > 0 && height > 0).then(|| Resolution::new(width.min(most), height.min(most)))
+}
+
+/// Pixels of a pixel of the font on a screen with so many physical pixels a logical one.
+fn text_scale(scale_factor: f64) -> f32 {
+    (scale_factor as f32 * 2.0).round().max(1.0)
+}
+
+/// What is to be done with a surface before it gives the next image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Remedy {
+    /// Nothing.
+    None,
+    /// Fit it to the window again.
+    Fit,
+    /// Try later.
+    Wait { is_covered: bool },
+    /// It is gone; another one of the same window may do.
+    MakeAnew,
+    /// Ask the device what is wrong.
+    Ask,
+}
+
+fn remedy(current: &Current) -> Remedy {
+    match current {
+        Current::Success(_) => Remedy::None,
+        Current::Suboptimal(_) | Current::Outdated => Remedy::Fit,
+        Current::Timeout => Remedy::Wait { is_covered: false },
+        Current::Occluded => Remedy::Wait { is_covered: true },
+        Current::Lost => Remedy::MakeAnew,
+        Current::Validation => Remedy::Ask,
     }
 }
 
@@ -100,6 +149,7 @@ struct App {
     /// Pictures written so far.
     pictures: u32,
     wants_picture: bool,
+    recorder: Option<Recorder>,
     failed: Option<anyhow::Error>,
 }
 
@@ -129,11 +179,10 @@ impl Live {
     fn fit(&mut self) -> Option<Resolution> {
         let size = self.window.inner_size();
         let most = self.gpu.device.limits().max_texture_dimension_2d;
-        let (width, height) = (size.width.min(most), size.height.min(most));
-        if width == 0 || height == 0 {
+        let Some(Resolution { width, height }) = drawable(size.width, size.height, most) else {
             self.is_configured = false;
             return None;
-        }
+        };
         if !self.is_configured || (self.config.width, self.config.height) != (width, height) {
             (self.config.width, self.config.height) = (width, height);
             self.surface.configure(&self.gpu.device, &self.config);
@@ -144,22 +193,20 @@ impl Live {
 
     /// The next image to draw on; `None` if there is none this time.
     fn acquire(&mut self) -> Result<Option<wgpu::SurfaceTexture>, GpuError> {
-        use wgpu::CurrentSurfaceTexture as Current;
-        match self.surface.get_current_texture() {
-            Current::Success(texture) => return Ok(Some(texture)),
-            Current::Suboptimal(texture) => {
-                self.is_configured = false;
-                return Ok(Some(texture));
-            }
-            Current::Timeout => {}
-            Current::Occluded => self.is_covered = true,
-            Current::Outdated => self.is_configured = false,
-            Current::Lost => {
+        let current = self.surface.get_current_texture();
+        match remedy(&current) {
+            Remedy::None => {}
+            Remedy::Fit => self.is_configured = false,
+            Remedy::Wait { is_covered } => self.is_covered |= is_covered,
+            Remedy::MakeAnew => {
                 let made = self.gpu.instance.create_surface(Arc::clone(&self.window));
                 self.surface = made.map_err(|error| GpuError::Surface(error.to_string()))?;
                 self.is_configured = false;
             }
-            Current::Validation => self.gpu.check()?,
+            Remedy::Ask => self.gpu.check()?,
+        }
+        if let Current::Success(texture) | Current::Suboptimal(texture) = current {
+            return Ok(Some(texture));
         }
         Ok(None)
     }
@@ -185,16 +232,25 @@ impl App {
             std::thread::sleep(Duration::from_millis(10));
             return Ok(());
         };
-        let scale = (live.window.scale_factor() as f32 * 2.0).round().max(1.0);
+        let scale = text_scale(live.window.scale_factor());
         let clocked = |work: &mut dyn FnMut()| {
             let began = Instant::now();
             work();
             began.elapsed()
         };
         let composed = self.viewing.frame(self.held, seconds, resolution, scale, clocked);
+        if let Some(recorder) = &mut self.recorder {
+            let player = &self.viewing.player;
+            let anchor = self.viewing.model().scene.anchor();
+            recorder.add(&composed.view, anchor, [player.yaw, player.pitch], seconds);
+        }
+        live.stage.renderer.bones = composed.bones;
+        live.stage.renderer.shade = composed.shade;
         let frame = Frame { view: composed.view, visible: &composed.visible, moving: &composed.moving };
         let view = image.texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let began = Instant::now();
         live.stage.draw(&live.gpu, &view, &frame, &composed.overlay)?;
+        self.viewing.drew(began.elapsed());
         live.window.pre_present_notify();
         live.gpu.queue.present(image);
         if std::mem::take(&mut self.wants_picture) {
@@ -241,7 +297,7 @@ impl App {
             }
             KeyCode::KeyP => self.wants_picture = true,
             _ => {
-                const DIGITS: [KeyCode; 8] = [
+                const DIGITS: [KeyCode; 11] = [
                     KeyCode::Digit1,
                     KeyCode::Digit2,
                     KeyCode::Digit3,
@@ -250,6 +306,9 @@ impl App {
                     KeyCode::Digit6,
                     KeyCode::Digit7,
                     KeyCode::Digit8,
+                    KeyCode::Digit9,
+                    KeyCode::Digit0,
+                    KeyCode::Minus,
                 ];
                 if let Some((_, show)) = DIGITS.into_iter().zip(Show::ALL).find(|(digit, _)| *digit == code)
                     && !self.viewing.shows.remove(&show)
@@ -355,5 +414,32 @@ impl ApplicationHandler for App {
     fn exiting(&mut self, _: &ActiveEventLoop) {
         // Before the event loop, whose display the surface draws on.
         self.live = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_window_without_pixels_is_not_drawn_on() {
+        assert_eq!(drawable(0, 200, 100), None);
+        assert_eq!(drawable(200, 0, 100), None);
+        assert_eq!(drawable(1, 1, 100), Some(Resolution::new(1, 1)));
+        assert_eq!(drawable(300, 80, 100), Some(Resolution::new(100, 80)));
+    }
+
+    #[test]
+    fn letters_grow_with_the_screens_pixels() {
+        assert_eq!([0.1, 1.0, 1.25, 1.5, 2.0, 3.0].map(text_scale), [1.0, 2.0, 3.0, 3.0, 4.0, 6.0]);
+    }
+
+    #[test]
+    fn whatever_a_surface_is_there_is_a_remedy() {
+        assert_eq!(remedy(&Current::Lost), Remedy::MakeAnew);
+        assert_eq!(remedy(&Current::Outdated), Remedy::Fit);
+        assert_eq!(remedy(&Current::Occluded), Remedy::Wait { is_covered: true });
+        assert_eq!(remedy(&Current::Timeout), Remedy::Wait { is_covered: false });
+        assert_eq!(remedy(&Current::Validation), Remedy::Ask);
     }
 }

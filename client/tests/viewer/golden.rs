@@ -61,6 +61,7 @@ fn two_rooms_look_as_they_did() {
         position: DVec3::new(0.3, 0.0, 0.5),
         orientation: DQuat::IDENTITY,
         tint: [0.9, 0.5, 0.1],
+        first_bone: None,
     };
     let plain = Frame { view, visible, moving: &[] };
     let (empty, _) = stage.picture(&gpu, &plain, &Overlay::default()).unwrap();

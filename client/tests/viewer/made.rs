@@ -68,8 +68,17 @@ fn squares(colors: [[u8; 4]; 2], side: u32) -> Vec<u8> {
     bytes.into_inner()
 }
 
+/// Where one of so many small boxes stands: its node's origin, a lower corner of it.
+pub fn hidden_at(number: usize, hidden: usize) -> [f32; 3] {
+    let side = (hidden as f32).cbrt().ceil().max(1.0);
+    let number = number as f32;
+    let [x, y, z] =
+        [number % side, (number / side).floor() % side, (number / side / side).floor()].map(|at| (at + 0.25) / side);
+    [2.0 + 1.5 * x, 0.1 + y, -1.8 + z]
+}
+
 /// The file. Rooms of 4 m by 4 m by 3 m lie along x from −4 to 4, with a wall at x = 0 and a door in it from z = 0 to 1. Behind the
-/// wall, at x > 0 and z < −0.5, `hidden` small boxes stand in a block that nobody sees from (−3, 1.6, 1.8).
+/// wall, at x > 0 and z < −0.5, `hidden` small boxes stand in a block that nobody sees from (−3, 1.6, −1.2).
 pub fn two_rooms(hidden: usize) -> Vec<u8> {
     let mut writer = Writer { binary: vec![], views: vec![], accessors: vec![], meshes: vec![], nodes: vec![] };
     let (floor, grating) =
@@ -93,13 +102,15 @@ pub fn two_rooms(hidden: usize) -> Vec<u8> {
     writer.node("grating", 3, &[[[-2.0, 0.0, -0.5], [-1.0, 0.0, -0.5], [-1.0, 1.0, -0.5], [-2.0, 1.0, -0.5]]]);
     writer.node("glass", 4, &[[[-1.5, 0.0, 1.3], [-0.7, 0.0, 1.3], [-0.7, 1.6, 1.3], [-1.5, 1.6, 1.3]]]);
     let side = (hidden as f32).cbrt().ceil().max(1.0);
+    let half = 0.2 / side;
     for number in 0..hidden {
-        let [x, y, z] =
-            [number as f32 % side, (number as f32 / side).floor() % side, (number as f32 / side / side).floor()]
-                .map(|at| (at + 0.25) / side);
-        let at = [2.0 + 1.5 * x, 0.1 + y, -1.8 + z];
-        let half = 0.2 / side;
-        writer.node(&format!("hidden {number}"), 2, &faces(at, at.map(|at| at + half)));
+        if number == 0 {
+            writer.node("hidden 0", 2, &faces([0.0; 3], [half; 3]));
+            writer.nodes.pop();
+        }
+        let [x, y, z] = hidden_at(number, hidden);
+        let mesh = writer.meshes.len() - 1;
+        writer.nodes.push(format!(r#"{{"name":"hidden {number}","mesh":{mesh},"translation":[{x},{y},{z}]}}"#));
     }
     let materials = r#"[
         {"pbrMetallicRoughness":{"baseColorTexture":{"index":0}}},
@@ -122,15 +133,83 @@ pub fn two_rooms(hidden: usize) -> Vec<u8> {
         writer.views.join(","),
         writer.binary.len(),
     );
+    glb(json, writer.binary)
+}
+
+/// A body of two metres on two joints, one at its feet and one half way up: a bar of eight rings that bends. Its clips are `Idle`,
+/// upright, and `Walk`, in which it bows by 60° and back in a second. It looks along +Z, where its face is, and its weights add up to
+/// two.
+pub fn body() -> Vec<u8> {
+    body_with("")
+}
+
+/// The same with something more about its lower joint.
+pub fn body_with(feet: &str) -> Vec<u8> {
+    const RINGS: usize = 8;
+    let mut writer = Writer { binary: vec![], views: vec![], accessors: vec![], meshes: vec![], nodes: vec![] };
+    let (mut quads, mut bends) = (Vec::new(), Vec::new());
+    for ring in 0..RINGS {
+        let [low, high] = [ring, ring + 1].map(|at| 2.0 * at as f32 / RINGS as f32);
+        quads.extend(faces([-0.2, low, -0.12], [0.2, high, 0.12]));
+        if ring == RINGS - 1 {
+            quads.extend(faces([-0.08, high - 0.2, 0.12], [0.08, high - 0.1, 0.24]));
+        }
+    }
+    let corners: Vec<[f32; 3]> = quads.iter().flat_map(|quad| [0, 1, 2, 0, 2, 3].map(|corner| quad[corner])).collect();
+    for [_, y, _] in &corners {
+        let upper = ((y - 0.75) / 0.5).clamp(0.0, 1.0);
+        bends.push([2.0 - 2.0 * upper, 2.0 * upper, 0.0, 0.0]);
+    }
+    let positions = writer.floats("VEC3", &corners);
+    let weights = writer.floats("VEC4", &bends);
+    let bytes: Vec<u8> = corners.iter().flat_map(|_| [0, 1, 0, 0]).collect();
+    let view = writer.view(&bytes);
+    writer
+        .accessors
+        .push(format!(r#"{{"bufferView":{view},"componentType":5121,"type":"VEC4","count":{}}}"#, corners.len()));
+    let joints = writer.accessors.len() - 1;
+    let from_mesh = |down: f32| [1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., down, 0., 1.];
+    let binds = writer.floats("MAT4", &[from_mesh(0.0), from_mesh(-1.0)]);
+    let times = writer.floats("SCALAR", &[[0.0], [0.5], [1.0]]);
+    let (sin, cos) = 30f32.to_radians().sin_cos();
+    let upright = [0.0, 0.0, 0.0, 1.0];
+    let still = writer.floats("VEC4", &[upright; 3]);
+    let bow = writer.floats("VEC4", &[upright, [sin, 0.0, 0.0, cos], upright]);
+    let clip = |name: &str, values: usize| {
+        format!(
+            r#"{{"name":"{name}","samplers":[{{"input":{times},"output":{values}}}],
+            "channels":[{{"sampler":0,"target":{{"node":2,"path":"rotation"}}}}]}}"#
+        )
+    };
+    let json = format!(
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0,1]}}],
+        "nodes":[{{"name":"body","mesh":0,"skin":0}},{{"name":"feet","children":[2]{feet}}},
+        {{"name":"waist","translation":[0,1,0]}}],
+        "skins":[{{"joints":[1,2],"inverseBindMatrices":{binds}}}],
+        "meshes":[{{"primitives":[{{"material":0,
+        "attributes":{{"POSITION":{positions},"JOINTS_0":{joints},"WEIGHTS_0":{weights}}}}}]}}],
+        "materials":[{{"pbrMetallicRoughness":{{"baseColorFactor":[0.8,0.5,0.1,1]}}}}],
+        "animations":[{},{}],"accessors":[{}],"bufferViews":[{}],"buffers":[{{"byteLength":{}}}]}}"#,
+        clip("Idle", still),
+        clip("Walk", bow),
+        writer.accessors.join(","),
+        writer.views.join(","),
+        writer.binary.len(),
+    );
+    glb(json, writer.binary)
+}
+
+/// A binary file of a description and what it describes.
+fn glb(json: String, binary: Vec<u8>) -> Vec<u8> {
     let mut json = json.into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');
     let mut glb = b"glTF\x02\0\0\0".to_vec();
-    glb.extend((28 + json.len() as u32 + writer.binary.len() as u32).to_le_bytes());
+    glb.extend((28 + json.len() as u32 + binary.len() as u32).to_le_bytes());
     glb.extend((json.len() as u32).to_le_bytes());
     glb.extend(b"JSON");
     glb.extend(json);
-    glb.extend((writer.binary.len() as u32).to_le_bytes());
+    glb.extend((binary.len() as u32).to_le_bytes());
     glb.extend(b"BIN\0");
-    glb.extend(writer.binary);
+    glb.extend(binary);
     glb
 }

@@ -1,8 +1,16 @@
 //! What the viewer draws, on the adapter that is there: without one these tests say `skipped: NAME: reason` and pass, unless
 //! `REQUIRE_GPU=1` (as in `.ci/run`), when they fail.
 
+mod faults;
+mod film;
 mod golden;
+mod hidden;
+mod looks;
 mod made;
+mod people;
+mod screen;
+mod served;
+mod session;
 mod visible;
 mod window;
 

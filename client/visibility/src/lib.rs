@@ -9,6 +9,7 @@
 mod all_round;
 mod all_round_cells;
 mod bound;
+mod camera_path;
 mod closers;
 mod clusters;
 mod cplp;
@@ -67,6 +68,7 @@ mod wedge;
 pub use all_round::{AllRound, AllRoundScratch, AllRoundStats};
 pub use all_round_cells::{AllRoundCells, AllRoundCellsScratch};
 pub use bound::{Aabb, Bound};
+pub use camera_path::{Camera, CameraPath, CameraPathError, CameraStop};
 pub use clusters::{CellClusters, Clusters};
 pub use cplp::{Budget, Cplp, CplpScratch, Traversal};
 pub use culler::{CplpCuller, Culled, Culler, FrustumBackface, ZBuffer, exact_set, wrong_pixels};
@@ -79,8 +81,9 @@ pub use hierarchical_z::HierarchicalZ;
 pub use kd_tree::{KdRules, KdStats, KdTree};
 pub use large_occluder::{LargeOccluder, LargeOccluderRules, LargeOccluderScratch, LargeOccluderStats};
 pub use load::{
-    Alpha, EncodedImage, LoadError, LoadOptions, LoadStats, Looks, Material, TextureUse, TriangleLook, Wrap, load_file,
-    load_file_with_looks, load_file_with_stats, load_glb, load_glb_with_looks, load_glb_with_stats, pack_glb,
+    Alpha, BONES_MAX, Bone, Carried, Clip, Curve, EncodedImage, Joint, LoadError, LoadOptions, LoadStats, Looks,
+    Material, Part, Place, Rig, TextureUse, Track, TriangleLook, Wrap, load_file, load_file_with_looks,
+    load_file_with_stats, load_glb, load_glb_with_looks, load_glb_with_stats, load_rig_file, load_rig_glb, pack_glb,
 };
 pub use masked::{Coverage, MaskedDepth, MaskedStats, SimdLevel};
 pub use masked_cplp::{MaskedCplp, MaskedCplpScratch};

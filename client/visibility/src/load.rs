@@ -13,6 +13,7 @@ mod error;
 mod look;
 mod pack;
 mod reach;
+mod rig;
 #[cfg(test)]
 mod tests;
 
@@ -40,6 +41,7 @@ pub use self::{
     error::LoadError,
     look::{Alpha, EncodedImage, Looks, Material, TextureUse, TriangleLook, Wrap},
     pack::pack_glb,
+    rig::{BONES_MAX, Bone, Carried, Clip, Curve, Joint, Part, Place, Rig, Track},
 };
 use crate::{Aabb, Node, ObjectMesh, Scene, Sides, Triangle};
 
@@ -113,7 +115,7 @@ pub fn load_glb_with_stats(
     source_name: &str,
     options: &LoadOptions,
 ) -> Result<(Scene, LoadStats), LoadError> {
-    read_glb(bytes, source_name, options, false).map(|loaded| (loaded.scene, loaded.stats))
+    read_glb(bytes, source_name, options, What::Shape).map(|loaded| (loaded.scene, loaded.stats))
 }
 
 /// Loads a `.glb` file, or a `.gltf` file with its buffers in it or in its folder.
@@ -123,12 +125,12 @@ pub fn load_file(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Scene,
 
 /// [`load_file`], also saying what was met.
 pub fn load_file_with_stats(path: impl AsRef<Path>, options: &LoadOptions) -> Result<(Scene, LoadStats), LoadError> {
-    read_file(path.as_ref(), options, false).map(|loaded| (loaded.scene, loaded.stats))
+    read_file(path.as_ref(), options, What::Shape).map(|loaded| (loaded.scene, loaded.stats))
 }
 
 /// [`load_file`], also saying how its triangles look.
 pub fn load_file_with_looks(path: impl AsRef<Path>, options: &LoadOptions) -> Result<(Scene, Looks), LoadError> {
-    read_file(path.as_ref(), options, true).map(|loaded| (loaded.scene, loaded.looks))
+    read_file(path.as_ref(), options, What::Looks).map(|loaded| (loaded.scene, loaded.looks))
 }
 
 /// [`load_glb`], also saying how its triangles look.
@@ -137,31 +139,51 @@ pub fn load_glb_with_looks(
     source_name: &str,
     options: &LoadOptions,
 ) -> Result<(Scene, Looks), LoadError> {
-    read_glb(bytes, source_name, options, true).map(|loaded| (loaded.scene, loaded.looks))
+    read_glb(bytes, source_name, options, What::Looks).map(|loaded| (loaded.scene, loaded.looks))
 }
 
-fn read_glb(bytes: &[u8], source_name: &str, options: &LoadOptions, looks: bool) -> Result<Loaded, LoadError> {
+/// Loads the body of an avatar from a file of either kind: a mesh, what it hangs on, and how that moves.
+pub fn load_rig_file(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Rig, LoadError> {
+    let loaded = read_file(path.as_ref(), options, What::Rig)?;
+    Ok(loaded.rig.expect("it was asked for"))
+}
+
+/// The same from a binary file's bytes; `source_name` stands for the file in errors.
+pub fn load_rig_glb(bytes: &[u8], source_name: &str, options: &LoadOptions) -> Result<Rig, LoadError> {
+    let loaded = read_glb(bytes, source_name, options, What::Rig)?;
+    Ok(loaded.rig.expect("it was asked for"))
+}
+
+/// What is wanted of a file besides its shape.
+#[derive(Clone, Copy, PartialEq)]
+enum What {
+    Shape,
+    Looks,
+    Rig,
+}
+
+fn read_glb(bytes: &[u8], source_name: &str, options: &LoadOptions, what: What) -> Result<Loaded, LoadError> {
     if !bytes.starts_with(b"glTF") {
         return Err(LoadError::NotGltf { file: source_name.into(), found: bytes.iter().copied().take(8).collect() });
     }
     let (description, binary) = split_glb(bytes, source_name)?;
-    load(description, binary, source_name, None, options, looks)
+    load(description, binary, source_name, None, options, what)
 }
 
-fn read_file(path: &Path, options: &LoadOptions, looks: bool) -> Result<Loaded, LoadError> {
+fn read_file(path: &Path, options: &LoadOptions, what: What) -> Result<Loaded, LoadError> {
     let file = path.display().to_string();
     let bytes = fs::read(path).map_err(|source| LoadError::Read { file: file.clone(), source })?;
     // The parent of a bare file name is the empty path, which `canonicalize` refuses.
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if bytes.starts_with(b"glTF") {
         let (description, binary) = split_glb(&bytes, &file)?;
-        return load(description, binary, &file, Some(folder), options, looks);
+        return load(description, binary, &file, Some(folder), options, what);
     }
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     if text.trim_ascii_start().first() != Some(&b'{') {
         return Err(LoadError::NotGltf { file, found: bytes.iter().copied().take(8).collect() });
     }
-    load(text, None, &file, Some(folder), options, looks)
+    load(text, None, &file, Some(folder), options, what)
 }
 
 /// All that comes of a file.
@@ -170,6 +192,7 @@ struct Loaded {
     stats: LoadStats,
     /// Empty unless asked for.
     looks: Looks,
+    rig: Option<Rig>,
 }
 
 /// The JSON and binary chunks of a .glb file.
@@ -202,7 +225,7 @@ fn load(
     file: &str,
     folder: Option<&Path>,
     options: &LoadOptions,
-    with_looks: bool,
+    what: What,
 ) -> Result<Loaded, LoadError> {
     let unreadable = |source| LoadError::Json { file: file.into(), source };
     let root: Root = json::deserialize::from_slice(description).map_err(unreadable)?;
@@ -216,9 +239,10 @@ fn load(
     let instances = loader.instances()?;
     let (anchor, triangles) = loader.anchor(&instances)?;
     let reaches = loader.reaches(&instances)?;
-    let looks = if with_looks { loader.looks(&instances, folder)? } else { Looks::default() };
+    let looks = if what == What::Looks { loader.looks(&instances, folder)? } else { Looks::default() };
+    let rig = if what == What::Rig { Some(loader.rig(&instances, folder)?) } else { None };
     let scene = loader.build(&instances, &reaches, anchor, triangles);
-    Ok(Loaded { scene, stats: loader.stats, looks })
+    Ok(Loaded { scene, stats: loader.stats, looks, rig })
 }
 
 /// Materials that light passes through although their alpha mode is OPAQUE. The crate `gltf` does not tell, so the

@@ -19,7 +19,7 @@ mod batches;
 mod query;
 
 use crate::raster_sampled::{BoxImage, BoxPlace, Marks};
-use crate::{Aabb, DepthBuffer, Scene};
+use crate::{Aabb, DepthBuffer, PixelRect, Scene};
 
 pub use batches::Batches;
 pub use query::OccupancyQuery;
@@ -193,6 +193,19 @@ impl OccupancyMap {
         let tiles = columns.min(width) * rows.min(height);
         let set: u32 = self.bits.0.as_flattened().iter().map(|word| word.count_ones()).sum();
         [tiles - set as usize, tiles]
+    }
+
+    /// The tiles, and whether something was drawn into each, for pictures.
+    pub fn tiles(&self) -> impl Iterator<Item = (PixelRect, bool)> + '_ {
+        let [width, height] = self.scale.part.map(|[from, end]| end - from);
+        let [columns, rows] = [COLUMNS.min(width), ROWS.min(height)];
+        let range = |[first, last]: [usize; 2]| [first as u32, last as u32 + 1];
+        (0..rows).flat_map(move |row| {
+            (0..columns).map(move |column| {
+                let tile = PixelRect { x: range(self.scale.columns(column)), y: range(self.scale.rows(row)) };
+                (tile, self.bits.0[row][column / 64] >> (column % 64) & 1 == 1)
+            })
+        })
     }
 
     /// Whether a box is certainly seen, because nothing was drawn yet in some pixel that it covers.

@@ -1,9 +1,9 @@
 //! What do cullers cost, and what do they get wrong? The library part of `eyeline-sim cull`.
 //!
-//! [`world`] says what is looked at and [`path`] from where; [`registry`] knows the cullers and what can be chosen for each, [`budget`]
-//! among it, and [`shop`] makes them, [`plp`] with a budget that may change from view to view; [`run`] holds them against the exact set
-//! and the clock (with [`max_pass`] as the yardstick), by [`fragments`] also in z-tests; [`report`] and [`picture`] show it, with the
-//! columns of [`row`]. [`gpu`] adds the cullers of a graphics adapter, if it was built in.
+//! [`world`] says what is looked at and a [`CameraPath`] from where; [`registry`] knows the cullers and what can be chosen for each,
+//! [`budget`] among it, and [`shop`] makes them, [`plp`] with a budget that may change from view to view; [`run`] holds them against
+//! the exact set and the clock (with [`max_pass`] as the yardstick), by [`fragments`] also in z-tests; [`report`] and [`picture`]
+//! show it, with the columns of [`row`]. [`gpu`] adds the cullers of a graphics adapter, if it was built in.
 
 pub mod budget;
 pub mod candidate;
@@ -11,7 +11,6 @@ mod entries;
 pub mod fragments;
 pub mod gpu;
 pub mod max_pass;
-pub mod path;
 pub mod picture;
 pub mod plp;
 pub mod registry;
@@ -25,8 +24,8 @@ pub mod world;
 
 pub use budget::{AskedBudget, BudgetError, BudgetKind};
 pub use candidate::{Candidate, WithScratch};
+pub use eyeline_visibility::{Camera, CameraPath, CameraPathError as PathError, CameraStop as Stop};
 pub use max_pass::MaxPass;
-pub use path::{Camera, CameraPath, PathError, Stop};
 pub use registry::{Budgets, Entry, Registry, Setting, Sweep, SweepError};
 pub use row::{CullRow, columns};
 pub use run::{CullConfig, Outcome};

@@ -9,11 +9,10 @@
 use std::cell::OnceCell;
 use std::time::Instant;
 
-use eyeline_visibility::{DynamicIndex, EyeRegion, ItemBuffer, Resolution, View};
+use eyeline_visibility::{CameraPath, DynamicIndex, EyeRegion, ItemBuffer, Resolution, View};
 
 use super::candidate::Candidate;
 use super::max_pass::MaxPass;
-use super::path::CameraPath;
 use super::picture::Picture;
 use super::registry::{Entry, Registry, Setting};
 use super::row::CullRow;

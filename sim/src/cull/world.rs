@@ -6,12 +6,13 @@ use std::sync::Arc;
 use anyhow::Context;
 use eyeline_protocol::PlanSwitch;
 use eyeline_server::spec::WorldSpec;
-use eyeline_visibility::{Aabb, AnyTessellation, LoadOptions, RayScene, Scene, load_file, load_glb};
+use eyeline_visibility::{
+    Aabb, AnyTessellation, Camera, CameraPath, LoadOptions, RayScene, Scene, load_file, load_glb,
+};
 use glam::{DVec2, DVec3};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-use super::path::{Camera, CameraPath};
 use crate::chance;
 use crate::places;
 use crate::scene::building::{self, BuildingRules};

@@ -149,6 +149,14 @@ pub enum LoadError {
         /// The limit that this one follows.
         triangles_max: u32,
     },
+    /// The file is no body of an avatar.
+    #[error("{file} cannot be an avatar: {reason}")]
+    Rig {
+        /// The file.
+        file: String,
+        /// Why not.
+        reason: String,
+    },
     /// The world is too wide for positions relative to one anchor.
     #[error("{file}: the world is {width_km:.0} km wide, but at most 2000 km are allowed; split it or mend its units")]
     TooWide {

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use glam::{DMat3, DVec3, Vec2, Vec3};
+use glam::{Affine2, DMat3, DVec3, Vec2, Vec3};
 use gltf::json::{
     self, Root,
     accessor::Type,
@@ -100,6 +100,8 @@ pub struct TriangleLook {
 /// What a primitive has besides its shape.
 struct Attributes<'a> {
     material: u32,
+    /// What is done to texture coordinates first.
+    placed: Option<Affine2>,
     normals: Option<Elements<'a>>,
     uvs: Option<Elements<'a>>,
     colors: Option<(Elements<'a>, usize)>,
@@ -130,7 +132,7 @@ impl Loader<'_> {
     }
 
     /// In the order of [`Loader::triangles`].
-    fn add_looks(&self, instance: &Instance, looks: &mut Vec<TriangleLook>) -> Result<(), LoadError> {
+    pub(super) fn add_looks(&self, instance: &Instance, looks: &mut Vec<TriangleLook>) -> Result<(), LoadError> {
         let Some(mesh) = instance.mesh else { return Ok(()) };
         let linear = DMat3::from_mat4(instance.world_from_local);
         // Normals go by the inverse transpose; a flat transform has none, and then corners tell.
@@ -152,6 +154,7 @@ impl Loader<'_> {
                 let uv = |vertex: usize| {
                     let uvs = attributes.uvs.as_ref()?;
                     let uv = Vec2::new(uvs.number(vertex, 0) as f32, uvs.number(vertex, 1) as f32);
+                    let uv = attributes.placed.map_or(uv, |placed| placed.transform_point2(uv));
                     uv.is_finite().then_some(uv)
                 };
                 let color = |vertex: usize| {
@@ -191,17 +194,31 @@ impl Loader<'_> {
         let material = described.material.map_or(root.materials.len(), |material| material.value());
         Ok(Attributes {
             material: material as u32,
+            placed: self.texture_transform(material),
             normals: read(Semantic::Normals, Some(Type::Vec3))?.map(|(elements, _)| elements),
             uvs: read(Semantic::TexCoords(self.uv_set(material)), Some(Type::Vec2))?.map(|(elements, _)| elements),
             colors: read(Semantic::Colors(0), None)?,
         })
     }
 
+    /// The base colour's texture of a material.
+    fn base_texture(&self, material: usize) -> Option<&json::texture::Info> {
+        self.source.root.materials.get(material)?.pbr_metallic_roughness.base_color_texture.as_ref()
+    }
+
     /// Which texture coordinates a material's base colour uses.
     fn uv_set(&self, material: usize) -> u32 {
-        let material = self.source.root.materials.get(material);
-        let texture = material.and_then(|material| material.pbr_metallic_roughness.base_color_texture.as_ref());
-        texture.map_or(0, |texture| texture.tex_coord)
+        let info = self.base_texture(material);
+        let given = info.and_then(transform_of).and_then(|transform| transform.tex_coord);
+        given.unwrap_or(info.map_or(0, |info| info.tex_coord))
+    }
+
+    /// What a material does to them: scaled, turned, then moved (KHR_texture_transform). Positive angles turn the image
+    /// clockwise, as renderers do; y of texture coordinates points down.
+    fn texture_transform(&self, material: usize) -> Option<Affine2> {
+        let transform = transform_of(self.base_texture(material)?)?;
+        let [offset, scale] = [transform.offset.0, transform.scale.0].map(Vec2::from);
+        Some(Affine2::from_scale_angle_translation(scale, -transform.rotation.0, offset))
     }
 
     fn material(&self, material: &json::Material) -> Result<Material, LoadError> {
@@ -242,6 +259,10 @@ impl Loader<'_> {
         };
         Ok(Material { base_color, texture, alpha })
     }
+}
+
+fn transform_of(info: &json::texture::Info) -> Option<&json::extensions::texture::TextureTransform> {
+    info.extensions.as_ref()?.texture_transform.as_ref()
 }
 
 fn encoded(root: &Root, source: &super::Source<'_>, at: usize, image: &Image, folder: Option<&Path>) -> EncodedImage {
@@ -332,6 +353,24 @@ mod tests {
         assert_eq!(looks.images[0].bytes.as_deref(), Ok(&b"PNG"[..]));
         // An image that is not there fails no load.
         assert!(looks.images[1].bytes.as_ref().is_err_and(|error| error.contains("beside.png")));
+    }
+
+    #[test]
+    fn texture_coordinates_are_moved_as_the_material_says() {
+        let mut glb = painted();
+        let transform = json!({"offset": [0.5, 0.25], "rotation": std::f32::consts::FRAC_PI_2, "scale": [2.0, 4.0]});
+        glb.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"] =
+            json!({"KHR_texture_transform": transform});
+        let (_, looks) = load(&glb).unwrap();
+        // Before: (0, 0), (0, 1) and (1, 0). A quarter turn takes y to x and x to -y.
+        let expected = [[0.5, 0.25], [4.5, 0.25], [0.5, -1.75]];
+        for (found, expected) in looks.triangles[1].uvs.iter().zip(expected) {
+            assert!(found.abs_diff_eq(Vec2::from(expected), 1e-5), "{found} {expected:?}");
+        }
+        glb.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"]["KHR_texture_transform"] =
+            json!({"texCoord": 1});
+        let (_, looks) = load(&glb).unwrap();
+        assert_eq!(looks.triangles[1].uvs, [Vec2::ZERO; 3], "there is no second set");
     }
 
     #[test]

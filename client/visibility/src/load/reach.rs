@@ -19,9 +19,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DMat3, DMat4, DVec3};
 use gltf::json::{
-    accessor::{ComponentType, Type},
+    accessor::Type,
     animation::{Interpolation, Property, Sampler},
-    mesh::{self, Semantic},
+    mesh,
     validation::Checked,
 };
 
@@ -304,7 +304,7 @@ impl<'l, 'a> Poses<'l, 'a> {
                 let at = still.transform_point3(primitive.positions.position(vertex).into());
                 reach.radius = farther(reach.radius, at.distance(origin));
             }
-            let sets = self.joint_sets(mesh, primitive, described)?;
+            let sets = loader.joint_sets(mesh, primitive, described)?;
             match self.skin(instance)? {
                 Some(skin) if !sets.is_empty() => {
                     reach.deforms = true;
@@ -337,7 +337,8 @@ impl<'l, 'a> Poses<'l, 'a> {
         let loader = self.loader;
         let root = loader.source.root;
         let joints: Vec<usize> = root.skins[skin].joints.iter().map(|joint| joint.value()).collect();
-        let binds = self.inverse_binds(skin, joints.len())?;
+        self.look(joints.len() as u64)?;
+        let binds = loader.inverse_binds(skin, joints.len())?;
         // Of each joint: from the skin's space to that in which its vertices are measured, and about which point.
         let mut measures = Vec::with_capacity(joints.len());
         for (&joint, bind) in joints.iter().zip(&binds) {
@@ -387,30 +388,6 @@ impl<'l, 'a> Poses<'l, 'a> {
         Ok(reach)
     }
 
-    /// Inverse bind matrices of a skin's joints; without an accessor they are identities.
-    fn inverse_binds(&mut self, skin: usize, count: usize) -> Result<Vec<DMat4>, LoadError> {
-        let source = &self.loader.source;
-        let Some(accessor) = source.root.skins[skin].inverse_bind_matrices else {
-            return Ok(vec![DMat4::IDENTITY; count]);
-        };
-        let accessor = accessor.value();
-        let matrices = source.numbers(accessor, &format!("skin {skin}"), Type::Mat4)?;
-        if matrices.count < count {
-            return Err(source.error(accessor, format!("{} matrices for {count} joints", matrices.count)));
-        }
-        self.look(count as u64)?;
-        let read = |i: usize| {
-            let matrix = DMat4::from_cols_array(&std::array::from_fn(|k| matrices.number(i, k)));
-            let is_affine = matrix.row(3).abs_diff_eq(glam::DVec4::W, 1e-5);
-            if matrix.is_finite() && is_affine {
-                Ok(matrix)
-            } else {
-                Err(source.error(accessor, format!("matrix {i} is {matrix}, which is no affine transform")))
-            }
-        };
-        (0..count).map(read).collect()
-    }
-
     /// Displacements of a primitive's morph targets, each with its greatest weight.
     fn morphs(
         &self,
@@ -438,37 +415,6 @@ impl<'l, 'a> Poses<'l, 'a> {
             morphs.push((own.max(animated).max(WEIGHT_MIN), displacements));
         }
         Ok(morphs)
-    }
-
-    /// Joints and weights of a primitive, four each.
-    fn joint_sets(
-        &self,
-        mesh: usize,
-        primitive: &Primitive<'a>,
-        described: &mesh::Primitive,
-    ) -> Result<Vec<(Elements<'a>, Elements<'a>)>, LoadError> {
-        let source = &self.loader.source;
-        let from = format!("mesh {mesh}, primitive {}", primitive.at);
-        let attribute = |semantic| described.attributes.get(&Checked::Valid(semantic)).map(|index| index.value());
-        let mut sets = Vec::new();
-        for set in 0.. {
-            let (joints, weights) = (attribute(Semantic::Joints(set)), attribute(Semantic::Weights(set)));
-            let (Some(joints), Some(weights)) = (joints, weights) else { break };
-            let (joints_at, weights_at) = (joints, weights);
-            let joints = source.numbers(joints, &from, Type::Vec4)?;
-            if !matches!(joints.component_type(), ComponentType::U8 | ComponentType::U16) {
-                return Err(source.error(joints_at, "joints of a type other than u8 and u16".into()));
-            }
-            let weights = source.numbers(weights, &from, Type::Vec4)?;
-            for (index, elements) in [(joints_at, &joints), (weights_at, &weights)] {
-                if elements.count < primitive.positions.count {
-                    let reason = format!("{} elements for {} vertices", elements.count, primitive.positions.count);
-                    return Err(source.error(index, reason));
-                }
-            }
-            sets.push((joints, weights));
-        }
-        Ok(sets)
     }
 
     /// The way up from a node: as far as nothing turns, exactly.

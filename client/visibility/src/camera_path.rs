@@ -1,19 +1,21 @@
-//! Camera paths: the views that cullers are compared on, as a file that can be recorded and replayed.
+//! Camera paths: views as a file that can be recorded, replayed and filmed, and on which cullers are compared.
 //!
 //! ```json
 //! {"fov_x_degrees": 90.0, "near": 0.01, "cameras": [{"eye": [3.0, 1.6, 3.0], "yaw_degrees": 45.0, "pitch_degrees": 0.0}]}
 //! ```
 //! Eyes are in the file's space (metres), not relative to a scene's anchor, so that a path outlives a change of anchor. A
-//! path may name its `resolution`, `[width, height]` in pixels; a run may choose others.
+//! path may name its `resolution`, `[width, height]` in pixels; a run may choose others. One that was walked says how many cameras
+//! there are to a second, `hz`.
 //!
 //! Made cameras are multiples of 0.1 mm and 0.001°: so few digits read back to the same f64, and a replay sees the very same
 //! views.
 
 use std::path::{Path, PathBuf};
 
-use eyeline_visibility::{Resolution, View};
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
+
+use crate::{Resolution, View};
 
 /// Farthest coordinate of an eye, in metres: the width of a world (DESIGN §6).
 const FAR: f64 = 2e6;
@@ -23,6 +25,9 @@ const CAMERAS_MAX: usize = 1_000_000;
 
 /// Widest and narrowest angle of view, degrees.
 const FOV: std::ops::RangeInclusive<f64> = 0.1..=179.0;
+
+/// Fewest and most cameras a second.
+const HZ: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 
 /// Where one stands and looks.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -50,13 +55,16 @@ pub struct CameraPath {
     /// Width and height in pixels that the path was meant for, if it says.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[u32; 2]>,
+    /// Cameras a second, if they were recorded in time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hz: Option<f64>,
     /// In the order in which they are looked through.
     pub cameras: Vec<Camera>,
 }
 
 /// Why a file is not a camera path.
 #[derive(Debug, thiserror::Error)]
-pub enum PathError {
+pub enum CameraPathError {
     /// The file cannot be read or written.
     #[error("cannot {verb} camera path {path}: {source}")]
     File {
@@ -103,17 +111,17 @@ impl Camera {
 }
 
 /// A place on a way: its share of the way, the eye (metres, in the file's space), yaw and pitch (radians).
-pub type Stop = (f64, DVec3, f64, f64);
+pub type CameraStop = (f64, DVec3, f64, f64);
 
 impl CameraPath {
     /// A path of 90° views.
     pub fn new(cameras: Vec<Camera>) -> CameraPath {
-        CameraPath { fov_x_degrees: ninety(), near: centimetre(), resolution: None, cameras }
+        CameraPath { fov_x_degrees: ninety(), near: centimetre(), resolution: None, hz: None, cameras }
     }
 
     /// `count` 90° views evenly along a way through `stops` (at least two, by their share of the way, from 0 to 1): straight from
     /// one to the next.
-    pub fn through(stops: &[Stop], count: u32) -> CameraPath {
+    pub fn through(stops: &[CameraStop], count: u32) -> CameraPath {
         let camera = |number: u32| {
             let share = f64::from(number) / f64::from(count.max(2) - 1);
             let next = stops.iter().position(|stop| stop.0 >= share).unwrap_or(stops.len() - 1).max(1);
@@ -139,28 +147,28 @@ impl CameraPath {
     }
 
     /// Reads and checks a file. There is at least one camera in the result.
-    pub fn read(path: &Path) -> Result<CameraPath, PathError> {
-        let file = |source| PathError::File { verb: "read", path: path.into(), source };
+    pub fn read(path: &Path) -> Result<CameraPath, CameraPathError> {
+        let file = |source| CameraPathError::File { verb: "read", path: path.into(), source };
         let text = std::fs::read_to_string(path).map_err(file)?;
         let parsed: CameraPath =
-            serde_json::from_str(&text).map_err(|source| PathError::Parse { path: path.into(), source })?;
+            serde_json::from_str(&text).map_err(|source| CameraPathError::Parse { path: path.into(), source })?;
         match parsed.check() {
             Ok(()) => Ok(parsed),
-            Err(what) => Err(PathError::Value { path: path.into(), what }),
+            Err(what) => Err(CameraPathError::Value { path: path.into(), what }),
         }
     }
 
     /// The cameras beside a model (`building.glb`, `building.cameras.json`); `None` if there is no such file.
-    pub fn beside(model: &Path) -> Result<Option<CameraPath>, PathError> {
+    pub fn beside(model: &Path) -> Result<Option<CameraPath>, CameraPathError> {
         match CameraPath::read(&model.with_extension("cameras.json")) {
-            Err(PathError::File { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(CameraPathError::File { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => Ok(None),
             result => result.map(Some),
         }
     }
 
     /// Writes a file that [`CameraPath::read`] reads.
-    pub fn write(&self, path: &Path) -> Result<(), PathError> {
-        let file = |source| PathError::File { verb: "write", path: path.into(), source };
+    pub fn write(&self, path: &Path) -> Result<(), CameraPathError> {
+        let file = |source| CameraPathError::File { verb: "write", path: path.into(), source };
         if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             std::fs::create_dir_all(folder).map_err(file)?;
         }
@@ -187,6 +195,9 @@ impl CameraPath {
         if self.resolution.is_some_and(|size| size.iter().any(|pixels| !(1..=8192).contains(pixels))) {
             return Err("`resolution` must be 1 to 8192 pixels each way".into());
         }
+        if self.hz.is_some_and(|hz| !HZ.contains(&hz)) {
+            return Err("`hz` must be 0.001 to 1000 cameras a second".into());
+        }
         if self.cameras.is_empty() || self.cameras.len() > CAMERAS_MAX {
             return Err(format!("`cameras` has {} entries; give 1 to {CAMERAS_MAX}", self.cameras.len()));
         }
@@ -205,20 +216,20 @@ impl CameraPath {
 
 #[cfg(test)]
 mod tests {
-    use rand::RngExt;
+    use rand::{RngExt as _, SeedableRng as _};
 
     use super::*;
 
     #[test]
     fn made_cameras_read_back_bit_for_bit() {
-        let mut chance = crate::chance(3, 0);
+        let mut chance = rand_pcg::Pcg64Mcg::seed_from_u64(3);
         let cameras: Vec<Camera> = (0..2_000)
             .map(|_| {
                 let eye = DVec3::from_array(std::array::from_fn(|_| chance.random_range(-200.0..200.0)));
                 Camera::rounded(eye, chance.random_range(-7.0..7.0), chance.random_range(-1.5..1.5))
             })
             .collect();
-        let path = CameraPath { resolution: Some([1024, 512]), ..CameraPath::new(cameras) };
+        let path = CameraPath { resolution: Some([1024, 512]), hz: Some(30.0), ..CameraPath::new(cameras) };
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("deep/path.json");
         path.write(&file).unwrap();
@@ -250,6 +261,7 @@ mod tests {
             ("{\"fov_x_degrees\": 180, \"cameras\": []}", "`fov_x_degrees` is 180"),
             ("{\"near\": 0, \"cameras\": []}", "`near` is 0"),
             ("{\"resolution\": [0, 5], \"cameras\": []}", "`resolution`"),
+            ("{\"hz\": 0, \"cameras\": []}", "`hz`"),
             ("{\"camera\": []}", "unknown field"),
         ] {
             std::fs::write(&file, text).unwrap();
