@@ -171,7 +171,8 @@ pub enum Event {
     Held(ObjectId, Hold),
     /// Something of the application's, about an object that is in sight, or of the server's own.
     Payload(Option<ObjectId>, Vec<u8>),
-    /// Something that was to be said when the connection was lost, and is not: the server does not remember us.
+    /// Something that was to be said when the connection was lost, and is not: the server does not remember us, or we had not
+    /// heard all that was here.
     Unsaid(Box<ClientControl>),
     /// Somebody says something to everybody.
     Said(String),

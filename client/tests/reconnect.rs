@@ -94,7 +94,7 @@ fn what_the_server_may_not_have_heard_is_said_again_once_it_tells_again() {
     assert!(is_hello(&said(&mut session)));
     welcome(&mut session, Continuity::Kept);
     told(&mut session);
-    assert_eq!(said(&mut session), [let_go.clone()]);
+    assert_eq!(said(&mut session), std::slice::from_ref(&let_go));
     assert_eq!(unsaid(&mut session), []);
 
     // Whom the server has forgotten has nothing to put down.

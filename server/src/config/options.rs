@@ -71,8 +71,8 @@ pub struct ServeOptions {
     #[arg(long, value_name = "HZ", default_value_t = 20.0, value_parser = number(0.1..=1000.0, "Hz"))]
     pub tick_hz: f64,
 
-    /// When requests are answered: on `arrival`, or with the `tick`, in the datagram that goes anyway. That takes about a third
-    /// less processor time, and each answer up to a tick longer
+    /// When requests are answered: on `arrival`, or with the `tick`, in the datagram that goes anyway. That takes less processor
+    /// time, and each answer up to a tick longer
     #[arg(long, value_name = "WHEN", default_value_t = Answers::default())]
     pub answers: Answers,
 

@@ -283,7 +283,7 @@ mod tests {
             assert!(is_let_in(Anonymous::Anywhere, from) && !is_let_in(Anonymous::Never, from), "{from}");
         }
         let permit = gate(Anonymous::Anywhere).admit(&[], caller("203.0.113.7"), noon());
-        assert_eq!(permit, Ok(Permit { rank: Rank::Viewer, avatars_max: 7, subject: String::new() }));
+        assert_eq!(permit, Ok(Permit { rank: Rank::Viewer, avatars_max: 7, subject: String::new(), token: None }));
         // Unless told otherwise, replays drive whole crowds without a token, from this machine only.
         let mut plain = TokenGate::new(&[], "hall").unwrap();
         assert_eq!(plain.admit(&[], caller("::1"), noon()).map(|permit| permit.avatars_max), Ok(4_096));
@@ -298,7 +298,9 @@ mod tests {
         let token = |claims: Claims| secret.issue(&claims).unwrap().into_bytes();
         let good = token(claims("anna"));
         let permit = gate.admit(&good, caller("203.0.113.7"), noon());
-        assert_eq!(permit, Ok(Permit { rank: Rank::Operator, avatars_max: 3, subject: "anna".into() }));
+        let mark = TokenMark { id: "0123456789abcdef".into(), issued: noon(), key: 0 };
+        let anna = Permit { rank: Rank::Operator, avatars_max: 3, subject: "anna".into(), token: Some(mark) };
+        assert_eq!(permit, Ok(anna));
 
         let stranger = make_keys().unwrap().0.issue(&claims("anna")).unwrap().into_bytes();
         let elsewhere = token(Claims { audience: "tower of london".into(), ..claims("anna") });
@@ -357,7 +359,7 @@ mod tests {
         };
         let (anna, anna_too) = (let_in("anna", "0123456789abcdef"), let_in("anna", "fedcba9876543210"));
         let bob = let_in("bob", "00000000000000bb");
-        let nobody = Permit { token: None, ..let_in("", "") };
+        let nobody = Permit { token: None, subject: String::new(), ..bob.clone() };
         assert!(!gate.look(noon()));
         let mut revoked = Revocations::default();
         revoked.revoke_id("0123456789abcdef");

@@ -113,7 +113,7 @@ fn a_world_through_which_thousands_have_gone_is_as_large_as_one_through_which_hu
             after.push(sizes(&world));
         }
     }
-    assert!(number > 2_000 && returned > 500, "{number} came and {returned} came back");
+    assert!(number > 1_500 && returned > 500, "{number} came and {returned} came back");
     // Those who are lost for good wait for their grace, four ticks: two more at most.
     let most = [PLACES + 4, PLACES + 4, PLACES + 4, PLACES + 4, 0, 0, 1_024];
     for sizes in &after {

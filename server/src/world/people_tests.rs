@@ -1,5 +1,7 @@
 //! Coming back, taking things, payloads, operators, eyes of one's own.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use eyeline_protocol::{
     ClientId, Command, Continuity, Hold, Interest, Rank, Reason, Resume, Role, RosterEntry, ServerControl,
     ServerRecord, VERSION, Welcome,
@@ -488,7 +490,7 @@ fn who_comes_back_with_nothing_holds_nothing_and_who_kept_all_hears_what_it_hold
 }
 
 /// Thinks better of it when told to: `anna` may stay no longer.
-struct Fickle(std::sync::Arc<std::sync::atomic::AtomicBool>);
+struct Fickle(Arc<AtomicBool>);
 
 impl Gate for Fickle {
     fn admit(&mut self, token: &[u8], _: Caller, _: WorldTime) -> Result<Permit, Denial> {
@@ -499,7 +501,7 @@ impl Gate for Fickle {
     fn ban(&mut self, _: &str, _: Caller, _: WorldTime) {}
 
     fn look(&mut self, _: WorldTime) -> bool {
-        self.0.load(std::sync::atomic::Ordering::Relaxed)
+        self.0.load(Ordering::Relaxed)
     }
 
     fn dismisses(&self, permit: &Permit, _: Caller, _: WorldTime) -> Option<Denial> {
@@ -509,7 +511,7 @@ impl Gate for Fickle {
 
 #[test]
 fn who_may_stay_no_longer_is_told_why_and_leaves_within_a_tick() {
-    let news = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let news = Arc::new(AtomicBool::new(false));
     let mut world = world(Box::new(Visible));
     world.set_gate(Box::new(Fickle(news.clone())));
     let (anna, _) = hello(&mut world, 1, b"anna", Role::Avatar, None);
@@ -520,7 +522,7 @@ fn who_may_stay_no_longer_is_told_why_and_leaves_within_a_tick() {
     tick(&mut world);
     heard(&mut world, anna.id);
     assert_eq!(world.avatars(), 3, "who is away has an avatar that waits");
-    news.store(true, std::sync::atomic::Ordering::Relaxed);
+    news.store(true, Ordering::Relaxed);
     tick(&mut world);
     let sent = drain(&mut world, anna.id);
     let refused = sent.iter().find_map(|transmit| match transmit {

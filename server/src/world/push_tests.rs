@@ -307,7 +307,7 @@ fn a_request_is_answered_on_arrival_or_with_the_tick_and_by_one_datagram_either_
         let asker = join(&mut world, Role::Avatar);
         world.tick(WorldTime::from_micros(50_000));
         drain(&mut world, asker);
-        let mut sent = |world: &mut World| {
+        let sent = |world: &mut World| {
             let sent = drain(world, asker);
             sent.iter().filter(|transmit| matches!(transmit, Transmit::Datagram(_))).count()
         };
