@@ -745,7 +745,11 @@ impl Tracker {
         if self.is_still && self.config.exact {
             let end_of =
                 |frames: u32| horizon.offset_micros(frame_micros.saturating_mul(i64::from(frames))).min(fixed_expiry);
-            let exact = longest_hidden(frames, |frames| hidden(bound_at(end_of(frames))));
+            // What does not grow is hidden for as long as it is now.
+            let exact = match tbv.speed > 0.0 {
+                true => longest_hidden(frames, |frames| hidden(bound_at(end_of(frames)))),
+                false => EXACT_FRAMES_MAX,
+            };
             if exact > 0 {
                 let end = end_of(exact);
                 entry.stage_frames = exact.min(self.config.stage_frames_max);
