@@ -1009,7 +1009,7 @@ const EXACT_FRAMES_MAX: u32 = 1 << 16;
 
 /// For how many frames from now a bound stays hidden, found by doubling from a guess and bisection (§3.4); 0 if not for one.
 fn longest_hidden(guess: u32, mut hidden: impl FnMut(u32) -> bool) -> u32 {
-    let (mut unseen, mut next) = (0, guess.max(1));
+    let (mut unseen, mut next) = (0, guess.clamp(1, EXACT_FRAMES_MAX));
     let mut seen = loop {
         if !hidden(next) {
             break next;
@@ -1036,5 +1036,26 @@ fn extent_bound(class: &Class, centre: DVec3, reach: f64) -> Bound {
         centre: centre + DVec3::Y * (0.5 * (low + high)),
         radius: class.extent.radius + reach,
         half_height: 0.5 * (high - low),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_exact_moment_is_found_from_any_guess() {
+        for last in [0, 1, 2, 3, 7, 100, 5_000, EXACT_FRAMES_MAX, u32::MAX] {
+            for guess in [0, 1, 5, 128] {
+                let mut asked = 0;
+                let found = longest_hidden(guess, |frames| {
+                    asked += 1;
+                    frames <= last
+                });
+                // A guess that is no power of two ends a little beyond the most.
+                assert!(found >= last.min(EXACT_FRAMES_MAX) && found <= last, "{last} from {guess}: {found}");
+                assert!(asked <= 2 * 17 + 1, "{asked}");
+            }
+        }
     }
 }
