@@ -753,7 +753,11 @@ impl Tracker {
         if self.is_still && self.config.exact {
             let end_of =
                 |frames: u32| horizon.offset_micros(frame_micros.saturating_mul(i64::from(frames))).min(fixed_expiry);
-            let exact = longest_hidden(frames, |frames| hidden(bound_at(end_of(frames))));
+            // What does not grow is hidden for as long as it is now.
+            let exact = match tbv.speed > 0.0 {
+                true => longest_hidden(frames, |frames| hidden(bound_at(end_of(frames)))),
+                false => EXACT_FRAMES_MAX,
+            };
             if exact > 0 {
                 let end = end_of(exact);
                 entry.stage_frames = exact.min(self.config.stage_frames_max);
@@ -1014,7 +1018,7 @@ const EXACT_FRAMES_MAX: u32 = 1 << 16;
 
 /// For how many frames from now a bound stays hidden, found by doubling from a guess and bisection (§3.4); 0 if not for one.
 fn longest_hidden(guess: u32, mut hidden: impl FnMut(u32) -> bool) -> u32 {
-    let (mut unseen, mut next) = (0, guess.max(1));
+    let (mut unseen, mut next) = (0, guess.clamp(1, EXACT_FRAMES_MAX));
     let mut seen = loop {
         if !hidden(next) {
             break next;
@@ -1041,5 +1045,26 @@ fn extent_bound(class: &Class, centre: DVec3, reach: f64) -> Bound {
         centre: centre + DVec3::Y * (0.5 * (low + high)),
         radius: class.extent.radius + reach,
         half_height: 0.5 * (high - low),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_exact_moment_is_found_from_any_guess() {
+        for last in [0, 1, 2, 3, 7, 100, 5_000, EXACT_FRAMES_MAX, u32::MAX] {
+            for guess in [0, 1, 5, 128] {
+                let mut asked = 0;
+                let found = longest_hidden(guess, |frames| {
+                    asked += 1;
+                    frames <= last
+                });
+                // A guess that is no power of two ends a little beyond the most.
+                assert!(found >= last.min(EXACT_FRAMES_MAX) && found <= last, "{last} from {guess}: {found}");
+                assert!(asked <= 2 * 17 + 1, "{asked}");
+            }
+        }
     }
 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use crate::{Aabb, Culled, Culler, DepthBuffer, EyeRegion, Scene, Scratch, View};
 
 /// Triangles of a run.
-pub(crate) const RUN: usize = 64;
+const RUN: usize = 64;
 /// Runs of a stretch.
 const STRETCH: usize = 32;
 
@@ -36,22 +36,17 @@ impl Frustum {
         &self.scene
     }
 
-    /// Calls `each` with the number and box of every run that may be in view of `depth`.
-    pub(crate) fn in_view(&self, depth: &DepthBuffer, mut each: impl FnMut(usize, &Aabb)) {
+    /// Calls `each` with the number of every run that may be in view of `depth`.
+    fn in_view(&self, depth: &DepthBuffer, mut each: impl FnMut(usize)) {
         for ((first, stretch), runs) in (0..).step_by(STRETCH).zip(&self.stretches).zip(self.runs.chunks(STRETCH)) {
             if depth.in_view(stretch) {
-                (first..).zip(runs).filter(|(_, run)| depth.in_view(run)).for_each(|(number, run)| each(number, run));
+                (first..).zip(runs).filter(|(_, run)| depth.in_view(run)).for_each(|(number, _)| each(number));
             }
         }
     }
 
-    /// The box of a run.
-    pub(crate) fn run(&self, run: usize) -> &Aabb {
-        &self.runs[run]
-    }
-
     /// Ids of a run.
-    pub(crate) fn ids(&self, run: usize) -> std::ops::Range<u32> {
+    fn ids(&self, run: usize) -> std::ops::Range<u32> {
         (run * RUN) as u32..((run + 1) * RUN).min(self.scene.triangles().len()) as u32
     }
 }
@@ -62,7 +57,7 @@ impl Culler for Frustum {
             return crate::culler::everything(&self.scene);
         }
         let mut visible = Vec::new();
-        self.in_view(&scratch.depth, |run, _| visible.extend(self.ids(run)));
+        self.in_view(&scratch.depth, |run| visible.extend(self.ids(run)));
         Culled { visible, ..Culled::default() }
     }
 }

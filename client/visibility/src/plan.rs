@@ -10,8 +10,8 @@ mod planned;
 
 use std::sync::Arc;
 
-use crate::frustum::{Frustum, RUN};
-use crate::{DepthBuffer, Resolution, Scene, View};
+use crate::frustum::Frustum;
+use crate::{Clusters, DepthBuffer, Resolution, Scene, View};
 
 pub use hysteresis::Hysteresis;
 pub use planned::{Planned, PlannedRules, PlannedStats};
@@ -34,9 +34,9 @@ pub struct ViewCounts {
     pub views: u64,
     /// Triangles of the scene, once a view.
     pub total: u64,
-    /// Of these, those in runs whose box may be in view.
+    /// Of these, those in clusters whose box may be in view.
     pub in_view: u64,
-    /// Of these, those in runs whose box is hidden by what is nearer.
+    /// Of these, those in clusters whose box is hidden by what is nearer.
     pub hidden: u64,
 }
 
@@ -105,10 +105,15 @@ fn small(resolution: Resolution) -> Resolution {
     Resolution::new(columns, rows as u32)
 }
 
-/// Counts views of a scene: the runs of triangles in view are taken front to back, and each is hidden or drawn.
+/// Counts views of a scene: its clusters in view are taken front to back, and each is hidden or drawn.
+///
+/// They are the clusters that the fastest culler asks about, since what is near each other in space can be hidden together.
+/// What is near each other in a file need not be: of oa_dm2, one mesh, runs of 64 triangles in the file's order hid 16 % of
+/// what was in view.
 #[derive(Clone, Debug)]
 pub struct SceneCounts {
     frustum: Arc<Frustum>,
+    clusters: Clusters,
     depth: DepthBuffer,
     order: Vec<(u32, u32)>,
     /// What was counted so far.
@@ -122,7 +127,9 @@ impl SceneCounts {
     /// Nothing counted yet.
     pub fn new(frustum: Arc<Frustum>) -> SceneCounts {
         let nowhere = View::level(glam::DVec3::ZERO, 0.0, 1.0, Resolution::new(0, 0));
-        SceneCounts { frustum, depth: DepthBuffer::new(&nowhere), order: Vec::new(), counts: ViewCounts::default() }
+        let clusters = Clusters::build(frustum.scene(), Clusters::TRIANGLES_MAX);
+        let depth = DepthBuffer::new(&nowhere);
+        SceneCounts { frustum, clusters, depth, order: Vec::new(), counts: ViewCounts::default() }
     }
 
     /// Counts these views of a scene.
@@ -148,14 +155,23 @@ impl SceneCounts {
         &self.frustum
     }
 
-    /// Triangles in runs that may be in view, without counting what is hidden.
+    fn clusters_in_view(&self, mut each: impl FnMut(&Clusters, u32)) {
+        let clusters = &self.clusters;
+        for object in 0..clusters.object_count() as u32 {
+            let own = clusters.clusters_of(object);
+            if own.is_empty() || own.len() > 1 && !self.depth.in_view(clusters.object_aabb(object)) {
+                continue;
+            }
+            own.filter(|&cluster| self.depth.in_view(clusters.aabb(cluster)))
+                .for_each(|cluster| each(clusters, cluster));
+        }
+    }
+
+    /// Triangles in clusters that may be in view, without counting what is hidden.
     pub(crate) fn in_view(&mut self, view: &View) -> u64 {
         self.depth.begin(&View { resolution: small(view.resolution), ..*view });
         let mut in_view = 0;
-        self.frustum.in_view(&self.depth, |run, _| {
-            let ids = self.frustum.ids(run);
-            in_view += u64::from(ids.end - ids.start);
-        });
+        self.clusters_in_view(|clusters, cluster| in_view += clusters.primitives(cluster).len() as u64);
         in_view
     }
 
@@ -168,25 +184,25 @@ impl SceneCounts {
         self.depth.begin(&View { resolution: small(view.resolution), ..*view });
         let total = self.frustum.scene().triangles().len() as u64;
         let mut counts = ViewCounts { views: 1, total, ..ViewCounts::default() };
-        self.order.clear();
-        let order = &mut self.order;
-        self.frustum.in_view(&self.depth, |run, aabb| {
+        let mut order = std::mem::take(&mut self.order);
+        order.clear();
+        self.clusters_in_view(|clusters, cluster| {
+            let aabb = clusters.aabb(cluster);
             let distance2 = view.eye.clamp(aabb.min, aabb.max).distance_squared(view.eye) as f32;
             // Bits of floats that are not negative are in the order of their values.
-            order.push((distance2.to_bits(), run as u32));
+            order.push((distance2.to_bits(), cluster));
         });
         order.sort_unstable();
-        let scene = self.frustum.scene().clone();
-        for &(_, run) in order.iter() {
-            let ids = self.frustum.ids(run as usize);
-            counts.in_view += u64::from(ids.end - ids.start);
-            if self.depth.sees(self.frustum.run(run as usize)) {
-                self.depth.draw_triangles(&scene.triangles()[ids.start as usize..ids.end as usize]);
+        for &(_, cluster) in &order {
+            let primitives = self.clusters.primitives(cluster);
+            counts.in_view += primitives.len() as u64;
+            if self.depth.sees(self.clusters.aabb(cluster)) {
+                self.depth.draw(self.frustum.scene(), primitives);
             } else {
-                counts.hidden += u64::from(ids.end - ids.start);
+                counts.hidden += primitives.len() as u64;
             }
         }
-        debug_assert!(self.order.len() * RUN >= counts.in_view as usize);
+        self.order = order;
         self.counts.add(&counts);
         counts
     }

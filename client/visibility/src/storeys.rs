@@ -108,6 +108,10 @@ impl Storeys {
             return Err(counted);
         }
         for &[floor, ceiling] in &storeys {
+            // A slab has two levels; what is above its upper one counts.
+            if storeys.iter().any(|&[other, above]| above == ceiling && other > floor) {
+                continue;
+            }
             let up = |from: f64, to: f64| -> f64 {
                 let here = levels.iter().filter(|level| level.height >= from && level.height <= to);
                 here.map(|level| level.up).sum()

@@ -118,10 +118,14 @@ pub fn drawing(planner: &Planner, config: &CostConfig, mut each_round: impl FnMu
     let mut items: Vec<ItemBuffer> = planner.views.iter().take(1).map(ItemBuffer::new).collect();
     let Some(items) = items.first_mut() else { return Ok(Vec::new()) };
     ways.iter_mut().for_each(|way| way.times = vec![Vec::new(); planner.views.len()]);
+    // The first round is for warming up and for pictures.
     for round in 0..config.repeats.max(1) + 1 {
         for (number, view) in planner.views.iter().enumerate() {
             let mut truth: Option<Vec<u32>> = None;
-            for way in &mut ways {
+            // Each way has its turn at being first, but for the round that holds pictures against that of everything.
+            let count = ways.len();
+            for turn in 0..count {
+                let way = &mut ways[(turn + round) % count];
                 let began = Instant::now();
                 let culled = (way.cull)(view);
                 items.begin(view);
@@ -129,7 +133,6 @@ pub fn drawing(planner: &Planner, config: &CostConfig, mut each_round: impl FnMu
                 let took = began.elapsed().as_secs_f64() * 1e3;
                 black_box(items.ids());
                 if round == 0 {
-                    // Warms up, and holds the pictures against that of everything, which comes first.
                     match &truth {
                         None => truth = Some(items.ids().to_vec()),
                         Some(truth) => way.same &= items.ids() == &truth[..],

@@ -84,7 +84,7 @@ pub fn costs(run: Run, rows: &[CostRow]) -> Result<Report, RowError> {
             "The plan's frame is at most {percent:.1} % over the best fixed way to draw ({}), over {} scenes; {} pictures differ.",
             row.world,
             planned().count(),
-            rows.iter().filter(|row| !row.same).count()
+            rows.iter().filter(|row| !row.same && row.stage == DRAWING).count()
         ),
         None => String::new(),
     };

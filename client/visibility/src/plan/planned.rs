@@ -50,7 +50,7 @@ pub struct Planned {
     stats: PlannedStats,
 }
 
-/// Views between two checks of occlusion culling that runs: a check asks about the box of every run, which in a large building
+/// Views between two checks of occlusion culling that runs: a check asks about the box of every cluster, which in a large building
 /// costs more than culling it.
 pub(crate) const CHECK: u64 = 32;
 /// Views between two counts of a scene whose occlusion is left out. A count costs about a frame.

@@ -139,6 +139,10 @@ fn scenes_without_storeys_say_what_was_counted() {
         solid(&mut hall, min, max, 0.0);
     }
     assert!(Prisms::build(&Scene::from_triangles(hall.clone())).is_ok());
+    // Ground below the floor's slab makes no gallery of the slab.
+    let mut on_ground = hall.clone();
+    solid(&mut on_ground, [0.0, -2.0, 0.0], [9.0, -1.0, 9.0], 0.0);
+    assert!(Prisms::build(&Scene::from_triangles(on_ground)).is_ok());
     let mut with_gallery = hall.clone();
     (0..6)
         .for_each(|i| solid(&mut with_gallery, [i as f32, 1.0, 0.0], [i as f32 + 1.0, 1.1 + 0.5 * i as f32, 9.0], 0.0));
