@@ -178,7 +178,8 @@ fn slanted_share(scene: &Scene) -> f64 {
         let [a, b, c] = corners;
         let area = (b - a).cross(c - a).length();
         all += area;
-        if !(a.y == b.y && b.y == c.y) && !is_upright(corners) {
+        let is_level = a.y == b.y && b.y == c.y;
+        if !is_level && !is_upright(corners) {
             slanted += area;
         }
     }
