@@ -14,6 +14,7 @@ use eyeline_client::viewer::player::{Held, Player};
 use eyeline_client::viewer::renderer::{DrawStats, Frame};
 use eyeline_client::viewer::sight::CullerKind;
 use eyeline_client::viewer::viewing::Viewing;
+use eyeline_protocol::PlanSwitch;
 use eyeline_server::spec::{ClassSpec, ObjectSpec, SpawnSpec, WorldSpec};
 use eyeline_visibility::Resolution;
 
@@ -58,10 +59,18 @@ fn drawn(gpu: &eyeline_client::viewer::gpu::Gpu, hidden: usize) -> DrawStats {
         token: None,
     };
     let source = ModelSource::Cache(folder.path().to_owned());
-    let options = OnlineOptions { target, source, name: "Ben".into(), fly: None, frame_hz: 10.0, side: 64 };
+    let options = OnlineOptions {
+        target,
+        source,
+        name: "Ben".into(),
+        fly: None,
+        frame_hz: 10.0,
+        side: 64,
+        plan: PlanSwitch::AUTO,
+    };
     let Joined { online, model, welcome, eye, yaw } = Online::join(options).unwrap();
     let player = Player::new(eye, yaw, Viewing::body(&welcome));
-    let mut viewing = Viewing::new(model, CullerKind::Masked, player, Some((online, welcome)));
+    let mut viewing = Viewing::new(model, CullerKind::Masked, PlanSwitch::AUTO, player, Some((online, welcome)));
     let mut stage = Stage::new(gpu, viewing.model(), &viewing.bodies(), FORMAT).unwrap();
     let began = Instant::now();
     loop {
