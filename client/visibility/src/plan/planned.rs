@@ -33,7 +33,7 @@ pub struct PlannedStats {
 /// Culls by everything, by the frustum, or by occlusion, whichever pays; one for each worker.
 ///
 /// All three are conservative, so that the picture is the same whatever is chosen. While occlusion culling runs, every
-/// [`CHECK`]th view says how much of what is in view it hid; while it does not, every [`PROBE`]th view is counted as a
+/// `CHECK`th view says how much of what is in view it hid; while it does not, every `PROBE`th view is counted as a
 /// [`SceneCounts`] does. Only several such counts in a row change the way to draw, and they count triangles, not time: the same
 /// views give the same plan on every machine.
 pub struct Planned {
