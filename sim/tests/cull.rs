@@ -223,7 +223,7 @@ fn what_cannot_be_run_is_said_with_the_remedy() {
     for (arguments, parts) in [
         (
             vec!["--cullers", "cplp,magic"],
-            vec!["no culler `magic`", "zbuffer, frustum-backface, frustum, large-occluder, masked, cplp"],
+            vec!["no culler `magic`", "zbuffer, frustum-backface, frustum, large-occluder, planned, masked, cplp"],
         ),
         (vec!["--tessellation", "bsp"], vec!["no tessellation `bsp`", "octree"]),
         (vec!["--query", "gpu"], vec!["no query `gpu`", "sampled"]),
