@@ -357,13 +357,23 @@ impl Connection {
         (stats.udp_tx.datagrams, stats.udp_tx.bytes, stats.udp_rx.datagrams, stats.udp_rx.bytes)
     }
 
-    /// Says goodbye and closes.
+    /// Says goodbye and closes, once the server has heard it or a second has passed.
     pub async fn close(mut self) {
         self.session.leave();
-        let _ = self.flush().await;
+        // Who closes at once throws away what was just said: the server would take it for lost, and keep its avatars for
+        // as long as it may come back. A server that has heard closes.
+        let heard = async {
+            if self.flush().await.is_ok() {
+                self.quic.closed().await;
+            }
+        };
+        let _ = tokio::time::timeout(HEARING, heard).await;
         self.quic.close(0u32.into(), b"goodbye");
     }
 }
+
+/// For how long a goodbye may take to be heard.
+const HEARING: Duration = Duration::from_secs(1);
 
 /// Largest model that is fetched: 1 GiB.
 const WORLD_BYTES_MAX: usize = 1 << 30;

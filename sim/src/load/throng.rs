@@ -101,6 +101,8 @@ pub struct Throng {
     members: Vec<Member>,
     /// By handle.
     links: Vec<Option<Link>>,
+    /// Whether who has left is not to be replaced.
+    is_ending: bool,
     /// Links that something has happened to.
     touched: Vec<usize>,
     /// When links want to be woken. Those that want it later by now are put back.
@@ -114,6 +116,9 @@ pub struct Throng {
 
 /// For how long a server may take to let somebody in.
 const PATIENCE: Duration = Duration::from_secs(5);
+
+/// For how long a goodbye may take to be heard.
+const HEARING: Duration = Duration::from_secs(1);
 
 /// Bytes for what is received at once: the system may join several packets of one sender. An odd number of cache lines, so
 /// that the beginnings of all do not compete for the same few places in the caches.
@@ -142,6 +147,7 @@ impl Throng {
             clock,
             members: Vec::new(),
             links: Vec::new(),
+            is_ending: false,
             touched: Vec::new(),
             timers: BinaryHeap::new(),
             due: BinaryHeap::new(),
@@ -193,16 +199,27 @@ impl Throng {
         }
     }
 
-    /// Everybody says goodbye.
-    pub fn leave(mut self) -> Vec<Outcome> {
-        for number in 0..self.members.len() {
-            self.part(number, b"goodbye");
-        }
+    /// Everybody says goodbye, and is heard unless that takes longer than a second.
+    pub async fn leave(mut self) -> Vec<Outcome> {
         let outcome = |member: &Member| Outcome {
             round_trip: member.session.round_trip().map(|(smoothed, _)| smoothed),
             counts: member.session.tracker().map_or((0, 0, 0), |tracker| tracker.counts()),
         };
-        self.members.iter().map(outcome).collect()
+        let outcomes = self.members.iter().map(outcome).collect();
+        self.is_ending = true;
+        for number in 0..self.members.len() {
+            self.say_goodbye(number);
+        }
+        let until = self.clock.now() + HEARING;
+        while self.members.iter().any(|member| member.link.is_some()) && self.clock.now() < until {
+            if self.step().await.is_err() {
+                break;
+            }
+        }
+        for number in 0..self.members.len() {
+            self.part(number, b"goodbye");
+        }
+        outcomes
     }
 
     fn dial(&mut self, number: usize) -> anyhow::Result<()> {
@@ -365,18 +382,22 @@ impl Throng {
         } else if let Some(at) = link.arm() {
             self.timers.push(Reverse((at, handle)));
         }
-        Ok(())
+        match heard {
+            Heard::Left => self.replace(number),
+            Heard::Nothing | Heard::Welcome => Ok(()),
+        }
     }
 
     /// Plays the frames that are due, and makes the changes.
     fn frames(&mut self) -> anyhow::Result<()> {
         let now = self.clock.now();
-        if let Some(number) = (0..self.members.len()).next_back().filter(|&number| !self.members[number].is_in) {
-            anyhow::ensure!(
-                now < self.members[number].deadline,
-                "client {}: it is not let in within {} s; is the server running, and is this its address?",
+        let is_overdue = |member: &Member| !member.is_in && now >= member.deadline;
+        if let Some(number) = self.members.iter().position(is_overdue) {
+            anyhow::bail!(
+                "client {}: it is not let in within {} s: {}; is the server running, and is this its address?",
                 self.rules.first + number,
-                PATIENCE.as_secs()
+                PATIENCE.as_secs(),
+                self.how_far(number),
             );
         }
         // A batch at a time: what arrives must not wait for all of them.
@@ -401,6 +422,12 @@ impl Throng {
             self.look_after_touched()?;
         }
         Ok(())
+    }
+
+    /// How far a member has got that is not in yet.
+    fn how_far(&self, number: usize) -> String {
+        let link = self.members[number].link.and_then(|handle| self.links[handle.0].as_ref());
+        link.map_or_else(|| "it has no connection".to_owned(), Link::how_far)
     }
 
     /// One frame, as `run_headless` of the client's own shell plays it.
@@ -452,20 +479,38 @@ impl Throng {
                 self.dial(number)
             }
             Change::Rejoin => {
-                self.members[number].session.leave();
-                if let Some(handle) = self.members[number].link
-                    && let Some(link) = self.links[handle.0].as_mut()
-                {
-                    link.say(&mut self.members[number].session, self.clock.now());
-                }
-                self.part(number, b"goodbye");
-                let Recruit { session, player } = (self.recruiter)(self.rules.first + number, turn);
-                let member = &mut self.members[number];
-                (member.session, member.player) = (session, player);
-                (member.frames, member.skipped) = (0, 0);
-                self.dial(number)
+                self.say_goodbye(number);
+                self.look_after_touched()
             }
         }
+    }
+
+    /// Begins to leave. Who closes at once throws away what was just said, so a member has left when the server has heard it.
+    fn say_goodbye(&mut self, number: usize) {
+        let member = &mut self.members[number];
+        member.session.leave();
+        member.is_in = false;
+        member.deadline = self.clock.now() + PATIENCE;
+        if let Some(handle) = member.link
+            && let Some(link) = self.links[handle.0].as_mut()
+        {
+            link.is_leaving = true;
+            link.say(&mut member.session, self.clock.now());
+            self.touch(handle.0);
+        }
+    }
+
+    /// Somebody else comes in the place of one who has left, unless everybody leaves.
+    fn replace(&mut self, number: usize) -> anyhow::Result<()> {
+        if self.is_ending {
+            self.members[number].link = None;
+            return Ok(());
+        }
+        let Recruit { session, player } = (self.recruiter)(self.rules.first + number, self.members[number].turn);
+        let member = &mut self.members[number];
+        (member.session, member.player) = (session, player);
+        (member.frames, member.skipped) = (0, 0);
+        self.dial(number)
     }
 }
 

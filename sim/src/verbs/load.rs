@@ -25,8 +25,9 @@ use row::{EchoRow, LoadRow, SoakRow};
 /// Options of `load`.
 #[derive(Args)]
 pub struct Load {
-    /// How many people
-    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    /// How many people; with --find-limit, how many at first: 64 unless given
+    #[arg(long, value_name = "N", default_value_t = 1000, default_value_if("find_limit", "true", "64"),
+        value_parser = clap::value_parser!(u32).range(1..=4096))]
     clients: u32,
 
     /// How many of them cull for themselves; the others replay what was exposed along recorded ways
@@ -61,7 +62,7 @@ pub struct Load {
     #[arg(long, value_name = "N", default_value_t = 7)]
     seed: u64,
 
-    /// More and more people, a fifth more each time, until it holds no longer
+    /// More and more people, a fifth more each time, until it holds no longer, most runs are void, or not all get in
     #[arg(long, conflicts_with_all = ["echo", "churn"])]
     find_limit: bool,
 
@@ -166,13 +167,20 @@ fn load(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)
         let mut rows = Vec::new();
         for number in 0..options.repeats {
             super::print(&format!("{clients} clients, run {} of {}\n", number + 1, options.repeats));
-            let measured = measure(options, world, clients, options.seconds)?;
-            rows.push(LoadRow::of(clients, &measured));
+            match measure(options, world, clients, options.seconds) {
+                Ok(measured) => rows.push(LoadRow::of(clients, &measured)),
+                Err(error) if options.find_limit && !said.is_empty() => {
+                    report.headline = format!("{said}{clients} clients: not measured, {error:#}.");
+                    return Ok((report, false));
+                }
+                Err(error) => return Err(error),
+            }
         }
         let p99 = median(rows.iter().map(|row| row.tick_p99_ms));
         let kb = median(rows.iter().map(|row| row.memory_kb_a_client));
         let sent = median(rows.iter().map(|row| row.sent_p99_ms));
-        let is_void = rows.iter().any(|row| row.void);
+        let late = rows.iter().filter(|row| row.void).count();
+        let is_void = if options.find_limit { 2 * late > rows.len() } else { late > 0 };
         for row in &rows {
             report.push(row)?;
         }

@@ -299,12 +299,12 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
         clients.spawn_local(async move {
             tokio::select! {
                 joined = throng.join() => joined?,
-                _ = stopped.wait_for(|&stop| stop) => return Ok(throng.leave()),
+                _ = stopped.wait_for(|&stop| stop) => return Ok(throng.leave().await),
             }
             drop(tell);
             tokio::select! {
                 played = throng.play() => match played? {},
-                _ = stopped.wait_for(|&stop| stop) => Ok(throng.leave()),
+                _ = stopped.wait_for(|&stop| stop) => Ok(throng.leave().await),
             }
         });
         tokio::select! {

@@ -9,7 +9,6 @@ use std::time::Duration;
 use eyeline_client::net::{Arrival, Connection, Endpoint, Fingerprint, LocalClock, NetError, Trust};
 use eyeline_client::session::{Session, SessionConfig};
 use eyeline_protocol::{Rank, Refusal, Role, WorldInfo, WorldTime};
-use eyeline_server::gate::Gate;
 use eyeline_server::net::{Anonymous, Handle, Identity, Server, TokenGate, WorldClock};
 use eyeline_server::policy::Broadcast;
 use eyeline_server::spec::WorldSpec;
@@ -27,10 +26,10 @@ fn noon() -> WorldTime {
 
 const HOUR: Duration = Duration::from_secs(3_600);
 
-/// Runs `scenario` beside a server.
+/// Runs `scenario` beside a server, which has tokens checked beforehand as the program does.
 fn beside_server<F: Future<Output = ()>>(
     identity: Identity,
-    gate: impl Gate + 'static,
+    gate: TokenGate,
     scenario: impl FnOnce(SocketAddr, Handle) -> F,
 ) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -38,10 +37,11 @@ fn beside_server<F: Future<Output = ()>>(
         let info = WorldInfo { name: "test".into(), hash: [0; 32], size_bytes: 0, two_sided: false };
         let (config, spec) = (WorldConfig::default(), WorldSpec::default());
         let mut world = World::new(config, spec, info, DVec3::ZERO, Box::new(Broadcast), noon()).unwrap();
+        let checks = gate.checks();
         world.set_gate(Box::new(gate));
-        let any = "127.0.0.1:0".parse().unwrap();
-        let server =
-            Server::bind(any, identity, world, Vec::new().into(), WorldClock::starting_at(noon()), None).unwrap();
+        let (any, clock) = ("127.0.0.1:0".parse().unwrap(), WorldClock::starting_at(noon()));
+        let server = Server::bind(any, identity, world, Vec::new().into(), clock, None).unwrap();
+        let server = server.with_token_checks(checks);
         let (address, handle) = (server.local_addr().unwrap(), server.handle());
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
         let served = tokio::spawn(server.run(async { drop(stopped.await) }));
@@ -124,6 +124,64 @@ fn over_quic_what_is_revoked_while_the_server_runs_is_refused() {
         let error = join(pin, address, &token("anna"), Role::Avatar).await.map(drop).unwrap_err().to_string();
         assert!(error.contains("revoked"), "{error}");
         join(pin, address, &token("bob"), Role::Avatar).await.unwrap();
+    });
+}
+
+#[test]
+fn over_quic_who_is_inside_with_a_token_that_is_revoked_is_sent_away_and_nobody_else() {
+    let folder = TempDir::new().unwrap();
+    let (gate, secret, public) = gate(folder.path());
+    let identity = Identity::ephemeral().unwrap();
+    let pin = Fingerprint(identity.fingerprint());
+    beside_server(identity, gate, async |address, handle: Handle| {
+        let join = async |subject| {
+            let token = secret.issue(&claims(subject, Rank::Actor, noon())).unwrap();
+            join(pin, address, &token, Role::Avatar).await.unwrap()
+        };
+        let ((_annas, mut anna), (_bobs, mut bob)) = (join("anna").await, join("bob").await);
+        let mut revoked = Revocations::default();
+        revoked.revoke_id("id-of-anna");
+        revoked.write(&revoked_path(&public)).unwrap();
+        let sent_away = async {
+            loop {
+                if let Err(error) = anna.arrive().await {
+                    return error;
+                }
+            }
+        };
+        // The server looks at its lists once a second.
+        let patience = Duration::from_secs(20);
+        match tokio::time::timeout(patience, sent_away).await.unwrap() {
+            NetError::Refused { refusal: Refusal::Token, reason } => assert!(reason.contains("revoked"), "{reason}"),
+            other => panic!("{other:?}"),
+        }
+        assert_eq!(handle.with_world(|world| (world.stats().dismissed, world.avatars())), (1, 1));
+        handle.with_world(|world| world.say_to_all("still here"));
+        let heard = async { while !matches!(bob.arrive().await.unwrap(), Arrival::Control) {} };
+        tokio::time::timeout(patience, heard).await.unwrap();
+    });
+}
+
+#[test]
+fn over_quic_who_closes_has_left_and_is_not_waited_for() {
+    let gate = TokenGate::new(&[], "hall").unwrap();
+    let identity = Identity::ephemeral().unwrap();
+    let pin = Fingerprint(identity.fingerprint());
+    beside_server(identity, gate, async |address, handle: Handle| {
+        let avatars = || handle.with_world(|world| world.avatars());
+        let (_annas, anna) = join(pin, address, "", Role::Avatar).await.unwrap();
+        let (_bobs, bob) = join(pin, address, "", Role::Avatar).await.unwrap();
+        anna.close().await;
+        assert_eq!(avatars(), 1, "a goodbye was not heard");
+        // Who is merely gone may come back.
+        drop(bob);
+        let away = async {
+            while handle.open_connections().1 > 0 {
+                tokio::task::yield_now().await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(20), away).await.unwrap();
+        assert_eq!(avatars(), 1);
     });
 }
 

@@ -20,6 +20,8 @@ pub(super) enum Heard {
     Nothing,
     /// The server has let us in.
     Welcome,
+    /// It has heard our goodbye.
+    Left,
 }
 
 pub(super) struct Link {
@@ -29,6 +31,8 @@ pub(super) struct Link {
     pub member: usize,
     /// Whether it waits to be looked after.
     pub is_touched: bool,
+    /// Whether a goodbye was said, which the server answers by closing.
+    pub is_leaving: bool,
     stream: Option<StreamId>,
     reader: ControlReader,
     /// Control bytes that the stream has not taken yet.
@@ -44,6 +48,7 @@ impl Link {
             connection,
             member,
             is_touched: false,
+            is_leaving: false,
             stream: None,
             reader: ControlReader::default(),
             unwritten: Vec::new(),
@@ -82,6 +87,7 @@ impl Link {
                     }
                 }
                 Event::Stream(StreamEvent::Writable { .. }) => self.write(),
+                Event::ConnectionLost { .. } if self.is_leaving => return Ok(Heard::Left),
                 Event::ConnectionLost { reason } => bail!("connection lost: {reason}"),
                 _ => {}
             }
@@ -152,6 +158,14 @@ impl Link {
                 Err(SendDatagramError::UnsupportedByPeer | SendDatagramError::Disabled) => return,
             }
         }
+    }
+
+    /// How far it has got, for one that takes too long.
+    pub fn how_far(&self) -> String {
+        let done =
+            if self.connection.is_handshaking() { "the handshake has not ended" } else { "hello is not answered" };
+        let path = self.connection.stats().path;
+        format!("{done} ({} packets were sent, {} of them lost)", path.sent_packets, path.lost_packets)
     }
 
     /// Ends.

@@ -14,8 +14,9 @@ use crate::stage::Stage;
 
 const PERIOD: Duration = Duration::from_millis(50);
 
-/// Lets six play for so long in a small building; what the server counted, and what became of them.
-fn played(churn: f64, how_long: Duration) -> (WorldStats, Vec<Outcome>) {
+/// Lets six play for so long in a small building; what the server counted, the avatars that are left, and what became of
+/// them.
+fn played(churn: f64, how_long: Duration) -> (WorldStats, usize, Vec<Outcome>) {
     let stage = Stage::made(&RoomsRules { columns: 3, rows: 2, ..RoomsRules::default() }).unwrap();
     let rules = WayRules { ways: 3, frames: 20, period: PERIOD, side: 32, seed: 7 };
     let ways = Arc::new(Ways::record(&stage.ground(), stage.model.scene.bounds(), &rules).unwrap());
@@ -44,18 +45,18 @@ fn played(churn: f64, how_long: Duration) -> (WorldStats, Vec<Outcome>) {
         if let Ok(ended) = tokio::time::timeout(how_long, throng.play()).await {
             match ended.unwrap() {}
         }
-        let outcomes = throng.leave();
-        let stats = handle.with_world(|world| *world.stats());
+        let outcomes = throng.leave().await;
+        let (stats, avatars) = handle.with_world(|world| (*world.stats(), world.avatars()));
         drop(stop);
         server.await.unwrap();
-        (stats, outcomes)
+        (stats, avatars, outcomes)
     }))
 }
 
 #[test]
 fn each_plays_and_is_told_of_the_others() {
-    let (stats, outcomes) = played(0.0, Duration::from_millis(800));
-    assert_eq!((stats.admitted, outcomes.len()), (6, 6), "{stats:?}");
+    let (stats, avatars, outcomes) = played(0.0, Duration::from_millis(800));
+    assert_eq!((stats.admitted, avatars, outcomes.len()), (6, 0, 6), "{stats:?}");
     assert_eq!([stats.rejected_datagrams, stats.rejected_control, stats.forbidden], [0; 3], "{stats:?}");
     // 16 frames each, less what a busy machine leaves out.
     assert!(stats.messages_in.poses >= 6 * 8, "{} poses", stats.messages_in.poses);
@@ -66,8 +67,8 @@ fn each_plays_and_is_told_of_the_others() {
 
 #[test]
 fn those_who_change_come_back_and_are_told_apart() {
-    let (stats, outcomes) = played(6.0, Duration::from_millis(1500));
-    assert_eq!(outcomes.len(), 6);
+    let (stats, avatars, outcomes) = played(6.0, Duration::from_millis(1500));
+    assert_eq!((avatars, outcomes.len()), (0, 6), "some were not heard to leave");
     assert!(stats.admitted > 6, "nobody joined anew: {stats:?}");
     assert!(stats.resumed > 0, "nobody came back: {stats:?}");
     assert_eq!([stats.rejected_datagrams, stats.rejected_control], [0; 2], "{stats:?}");
