@@ -51,6 +51,18 @@ fn beside_server<F: Future<Output = ()>>(
     });
 }
 
+/// For how long a test waits for what must come.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+async fn until(is_so: impl Fn() -> bool) {
+    let waiting = async {
+        while !is_so() {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, waiting).await.unwrap();
+}
+
 async fn join(
     trust: impl Into<Trust>,
     address: SocketAddr,
@@ -150,15 +162,16 @@ fn over_quic_who_is_inside_with_a_token_that_is_revoked_is_sent_away_and_nobody_
             }
         };
         // The server looks at its lists once a second.
-        let patience = Duration::from_secs(20);
-        match tokio::time::timeout(patience, sent_away).await.unwrap() {
+        match tokio::time::timeout(PATIENCE, sent_away).await.unwrap() {
             NetError::Refused { refusal: Refusal::Token, reason } => assert!(reason.contains("revoked"), "{reason}"),
             other => panic!("{other:?}"),
         }
-        assert_eq!(handle.with_world(|world| (world.stats().dismissed, world.avatars())), (1, 1));
+        // It waits until she has it all; then her avatar goes.
+        until(|| handle.with_world(|world| world.avatars()) == 1).await;
+        assert_eq!(handle.with_world(|world| world.stats().dismissed), 1);
         handle.with_world(|world| world.say_to_all("still here"));
         let heard = async { while !matches!(bob.arrive().await.unwrap(), Arrival::Control) {} };
-        tokio::time::timeout(patience, heard).await.unwrap();
+        tokio::time::timeout(PATIENCE, heard).await.unwrap();
     });
 }
 
@@ -175,12 +188,7 @@ fn over_quic_who_closes_has_left_and_is_not_waited_for() {
         assert_eq!(avatars(), 1, "a goodbye was not heard");
         // Who is merely gone may come back.
         drop(bob);
-        let away = async {
-            while handle.open_connections().1 > 0 {
-                tokio::task::yield_now().await;
-            }
-        };
-        tokio::time::timeout(Duration::from_secs(20), away).await.unwrap();
+        until(|| handle.open_connections().1 == 0).await;
         assert_eq!(avatars(), 1);
     });
 }
