@@ -4,8 +4,8 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use eyeline_sim::cull::run::run;
-use eyeline_sim::cull::{Candidate, CullConfig, CullRow, Entry, Registry, Sweep, World, WorldRules, row};
+use eyeline_sim::cull::run::{Outcome, run};
+use eyeline_sim::cull::{Candidate, CullConfig, CullRow, Entry, FrameRow, Registry, Sweep, World, WorldRules, row};
 use eyeline_visibility::{Culled, Culler, EyeRegion, FrustumBackface, Occlusion, Resolution, Scratch, View};
 use serde_json::Value;
 
@@ -115,7 +115,18 @@ fn budgets_may_follow_the_view_and_rows_say_what_they_were() {
     let budgets = ["1x", "4x", "auto", "60000ms"].map(|text| text.parse().unwrap()).to_vec();
     let cullers = ["zbuffer", "frustum-backface", "plp", "centroid"].map(str::to_owned).into();
     let sweep = Sweep { cullers, budgets, tessellations: vec!["octree".into()], ..Sweep::default() };
-    let rows = run(&world, &path, &config(&registry, &sweep), &registry, || {}).rows;
+    let Outcome { rows, frames, .. } = run(&world, &path, &config(&registry, &sweep), &registry, || {});
+    // What a row says of all views is made of what is said of each.
+    for (row, frames) in rows.iter().zip(frames.chunks(6)) {
+        let mean = |of: fn(&FrameRow) -> f64| frames.iter().map(of).sum::<f64>() / 6.0;
+        assert!(frames.iter().enumerate().all(|(view, frame)| frame.view == view && frame.culler == row.culler));
+        assert_eq!((mean(|frame| frame.kept as f64), mean(|frame| frame.exact as f64)), (row.kept, row.exact));
+        assert!((mean(|frame| frame.visible_found) - row.visible_found_mean).abs() < 1e-9, "{row:?}");
+        assert!((mean(|frame| frame.frame_ms.unwrap()) - row.frame_ms).abs() < 1e-9, "{row:?}");
+        assert_eq!(frames.iter().map(|frame| frame.wrong_pixels).max(), Some(row.wrong_pixels_max));
+        assert!(frames[0].drawn_churn.is_none() && frames[1..].iter().all(|frame| frame.drawn_churn.is_some()));
+    }
+    assert_eq!(frames.len(), 6 * rows.len());
     let [all, frustum, once, four_times, auto, unhurried, centroid, centroid_four] = &rows[..] else {
         panic!("{} rows", rows.len())
     };
@@ -128,7 +139,15 @@ fn budgets_may_follow_the_view_and_rows_say_what_they_were() {
     assert!(auto.budget_triangles.is_some_and(|budget| budget >= 1_000) && auto.visible_found_mean > 0.9);
     // A deadline that is never met draws all that is in view, and nobody knows its budget beforehand.
     assert_eq!((unhurried.budget_triangles, unhurried.visible_found_mean), (None, 1.0));
-    assert!(rows.iter().all(|row| row.overhead_ms.is_some() == (row.budget.is_some())), "{rows:?}");
+    for row in &rows {
+        assert_eq!(row.overhead_ms.is_some(), row.budget.is_some(), "{row:?}");
+        // Both are told over the same time of the frustum.
+        if let (Some(overhead), Some(over)) = (row.overhead_ms, row.over_frustum) {
+            let plain = row.frame_ms - overhead;
+            assert!((over * plain - row.frame_ms).abs() < 1e-9 * row.frame_ms.max(1.0), "{row:?}");
+        }
+    }
+    assert!((unhurried.kept, unhurried.over_frustum.is_some()) == (frustum.kept, true), "{unhurried:?} {frustum:?}");
     assert_eq!((all.drawn_churn, all.drawn_churn_p95), (0.0, 0.0));
     assert!(frustum.drawn_churn > 0.0 && frustum.drawn_churn_p95 >= frustum.drawn_churn, "{frustum:?}");
 }
@@ -177,7 +196,8 @@ fn a_recorded_path_replays_to_the_same_rows() {
             for &time in &row::TIMES {
                 // Overhead is told only of budgets that promise nothing.
                 let value = row.remove(time);
-                assert!(value.is_some_and(|value| value.is_number() || time == "overhead_ms"), "{time}");
+                let is_told = !["overhead_ms", "over_frustum"].contains(&time);
+                assert!(value.is_some_and(|value| value.is_number() || !is_told), "{time}");
             }
         }
         rows
@@ -205,6 +225,9 @@ fn a_recorded_path_replays_to_the_same_rows() {
         assert!(a.iter().all(|row| row.get(key).is_some()), "no column {key}");
     }
     assert_eq!(a[0]["frames"], 5);
+    let frames = std::fs::read_to_string(folder.path().join("a/frames.csv")).unwrap();
+    assert!(frames.starts_with("culler,tessellation,query,budget,resolution,eye_radius,view,exact,found,"), "{frames}");
+    assert_eq!(frames.lines().count(), 1 + 3 * 5);
     let page = std::fs::read_to_string(folder.path().join("a/report.html")).unwrap();
     assert!(page.contains("data:image/png;base64,") && page.contains("wrong_pixels_mean over frame_ms"));
     let pictures = std::fs::read_dir(folder.path().join("a")).unwrap();

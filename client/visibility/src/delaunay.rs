@@ -419,7 +419,7 @@ mod tests {
     use rand_pcg::Pcg64;
 
     use super::*;
-    use crate::tessellation::laws::{poor_scenes, soup};
+    use crate::tessellation::laws::{grid, poor_scenes, soup};
 
     fn small() -> DelaunayRules {
         DelaunayRules::default().with_octree(OctreeRules::paper().with_leaf_side(0.3))
@@ -498,9 +498,39 @@ mod tests {
             assert_eq!(delaunay.cell_at(delaunay.root().max + delaunay.root().size()), None);
             assert_eq!(delaunay.cell_at(DVec3::NAN), None);
         }
-        // Cospherical on purpose: no perturbation at all.
-        let exact = Delaunay::build(&soup(5, 100), DelaunayRules { on_faces: false, ..small().with_jitter(0.0) });
-        assert!(matches!(exact, Ok(_) | Err(DelaunayError::Unsound { .. } | DelaunayError::Library { .. })));
+    }
+
+    /// No perturbation at all: centres of leaves lie on common spheres by the dozen, and on faces in planes.
+    #[test]
+    fn sites_on_common_spheres_and_planes_make_cells_or_are_refused_by_name() {
+        let mut made = 0;
+        for scene in [soup(5, 100), grid(4)] {
+            for on_faces in [false, true] {
+                match Delaunay::build(&scene, DelaunayRules { on_faces, ..small().with_jitter(0.0) }) {
+                    Ok(delaunay) => {
+                        made += 1;
+                        assert!(delaunay.reference_count() >= scene.triangles().len());
+                        for triangle in scene.triangles() {
+                            let corner = triangle.corners[0].as_dvec3();
+                            assert!(holds(&delaunay, delaunay.cell_at(corner).unwrap(), corner, 1e-9));
+                        }
+                    }
+                    Err(error) => assert!(error.to_string().contains("sites"), "{error}"),
+                }
+            }
+        }
+        assert!(made > 0);
+    }
+
+    #[test]
+    fn one_site_and_the_same_site_twice_are_used_or_refused_by_name() {
+        let (root, scene) = (Aabb::around(DVec3::ZERO, DVec3::ONE), soup(1, 0));
+        let one = Delaunay::of_sites(&scene, root, vec![DVec3::new(0.1, 0.2, 0.3)], 1).unwrap();
+        assert!(one.len() >= 8 && one.cell_at(DVec3::ZERO).is_some());
+        let none = Delaunay::of_sites(&scene, root, Vec::new(), 1).unwrap();
+        assert!(none.len() >= 5 && none.cell_at(DVec3::ZERO).is_some());
+        let twice = Delaunay::of_sites(&scene, root, vec![DVec3::X * 0.5; 2], 1).unwrap_err();
+        assert_eq!(twice, DelaunayError::Unsound { sites: 10, fault: "two sites are one" });
     }
 
     #[test]

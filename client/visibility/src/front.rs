@@ -42,3 +42,24 @@ impl PartialEq for Entry {
 }
 
 impl Eq for Entry {}
+
+#[cfg(test)]
+mod tests {
+    use std::cmp::Reverse;
+    use std::collections::BinaryHeap;
+
+    use super::*;
+
+    /// Klosowski & Silva 2000, §4.2: "a first-in first-out behavior when there are ties with respect to the solidity values".
+    #[test]
+    fn the_least_solid_comes_first_and_of_equals_the_first_that_came() {
+        let mut front = BinaryHeap::new();
+        let solidities = [2.0, 0.0, 1.0, 0.0, -0.0, 1.0, f32::INFINITY, 2.0, 0.5];
+        for (cell, solidity) in (0..).zip(solidities) {
+            // Numbers of cells run against the order of coming, so that it is not they that decide.
+            front.push(Reverse(Entry { solidity, entered: cell, cell: 100 - cell }));
+        }
+        let order: Vec<u32> = std::iter::from_fn(|| front.pop()).map(|Reverse(entry)| 100 - entry.cell).collect();
+        assert_eq!(order, [4, 1, 3, 8, 2, 5, 0, 7, 6]);
+    }
+}

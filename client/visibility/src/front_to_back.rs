@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::culler::everything;
 use crate::occupancy_map::{Batches, Occupancy, OccupancyMap, is_foreseen};
-use crate::query::{test, test_image};
+use crate::query::{test, test_ahead};
 use crate::raster_sampled::{BoxImage, BoxPlace, BoxRectangle, Marks};
 use crate::{
     Aabb, CellId, Culled, Culler, DepthBuffer, EyeRegion, Octree, OctreeRules, Scene, Scratch, Tessellation, Traversal,
@@ -108,9 +108,9 @@ impl Walk<'_> {
             let (cell, rectangle) = rectangles[number as usize];
             let seen = rectangle.is_none_or(|rectangle| {
                 let image = self.depth.box_image(self.culler.tessellation.cell(cell), rectangle);
-                is_foreseen(map, self.depth, &image) || {
+                map.shows(&image) || {
                     self.done.queries += 1;
-                    test_image(self.depth, &image).0
+                    test_ahead(self.depth, &image).0
                 }
             });
             if seen {
@@ -127,7 +127,7 @@ impl Walk<'_> {
             let (cell, rectangle) = rectangles[number as usize];
             let image = rectangle.map(|rectangle| self.depth.box_image(self.culler.tessellation.cell(cell), rectangle));
             match image {
-                Some(image) if !is_foreseen(map, self.depth, &image) => {
+                Some(image) if !is_foreseen(map, self.depth, true, &image) => {
                     waiting[batches.place(map.scale(), image.x, image.y)].push((cell, image));
                 }
                 _ => self.draw(cell, map),
@@ -145,7 +145,7 @@ impl Walk<'_> {
         for batch in waiting {
             self.done.queries += batch.len();
             self.done.passes += usize::from(!batch.is_empty());
-            batch.retain(|(_, image)| test_image(self.depth, image).0);
+            batch.retain(|(_, image)| test_ahead(self.depth, image).0);
             batch.drain(..).for_each(|(cell, _)| self.draw(cell, map));
         }
     }

@@ -101,8 +101,8 @@ pub use plp_culler::{CentroidOrder, PlpCuller};
 pub use plp_rules::{PlpRules, Requeue, Seeds, Solidity, SolidityMax, Transfer};
 pub use prisms::{Prisms, PrismsError};
 pub use query::{
-    CplpQueryCuller, CpuQuery, HistogramQuery, ItemBufferQuery, OneAtATimeQuery, PerFragmentHistogram, QueryBackEnd,
-    QueryCost, QueryKind, TILE_SIDE,
+    CplpQueryCuller, CpuQuery, HistogramQuery, ItemBufferQuery, OneAtATimeQuery, PerFragmentHistogram, PlacedBox,
+    QueryBackEnd, QueryCost, QueryKind, TILE_SIDE,
 };
 pub use raster_sampled::{BoxOnImage, DepthBuffer, ItemBuffer, PixelRect, SampledTarget};
 pub use ray::{Hit, RayScene, image_ray, pixel_ray};

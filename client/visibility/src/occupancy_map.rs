@@ -64,6 +64,18 @@ impl Bits {
         }
     }
 
+    /// Sets the columns `first` to `last` of a row. Returns whether any was not set.
+    #[inline]
+    fn take(&mut self, row: u8, first: u8, last: u8) -> bool {
+        let mut free = 0;
+        for word in usize::from(first) / 64..=usize::from(last) / 64 {
+            let (mask, bits) = (Bits::mask(word, first, last), &mut self.0[usize::from(row)][word]);
+            free |= !*bits & mask;
+            *bits |= mask;
+        }
+        free != 0
+    }
+
     /// The first column of `first` to `last` of a row that is not set.
     #[inline]
     fn first_clear(&self, row: u8, first: u8, last: u8) -> Option<usize> {
@@ -123,6 +135,18 @@ impl Scale {
         (first <= last).then_some([first as usize, last as usize])
     }
 
+    /// Whether no tile is there, for want of pixels.
+    #[inline]
+    fn is_empty(&self) -> bool {
+        self.part.iter().any(|[from, end]| from == end)
+    }
+
+    /// The tiles of a range of columns or rows of the image, or those nearest to it.
+    #[inline]
+    fn nearest(&self, axis: usize, range: [i32; 2]) -> [u8; 2] {
+        range.map(|at| self.tiles[axis][at as usize])
+    }
+
     /// The tiles of a clipped range.
     #[inline]
     fn tiles(&self, axis: usize, range: [usize; 2]) -> [u8; 2] {
@@ -156,7 +180,19 @@ fn first_of(tile: usize, pixels: usize, count: usize) -> usize {
 pub struct OccupancyMap {
     scale: Scale,
     bits: Bits,
+    waiting: Waiting,
 }
+
+/// Columns of tiles, first to last, that a piece under way was drawn into in a row of tiles: a row of tiles holds several rows of
+/// pixels, whose spans overlap or touch, and is set once. Descending if there are none.
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    row: u8,
+    first: u8,
+    last: u8,
+}
+
+const NOTHING_WAITS: Waiting = Waiting { row: 0, first: u8::MAX, last: 0 };
 
 impl OccupancyMap {
     /// Bytes of one map's bits.
@@ -164,7 +200,7 @@ impl OccupancyMap {
 
     /// A map of no image yet.
     pub fn new() -> OccupancyMap {
-        OccupancyMap { scale: Scale::default(), bits: Bits::EMPTY }
+        OccupancyMap { scale: Scale::default(), bits: Bits::EMPTY, waiting: NOTHING_WAITS }
     }
 
     /// Forgets everything and starts a map of an image that nothing was drawn into. `scene` is a box around all that will be
@@ -243,6 +279,15 @@ impl OccupancyMap {
     pub(crate) fn scale(&self) -> &Scale {
         &self.scale
     }
+
+    /// Sets the tiles of the spans that wait.
+    #[inline]
+    fn set_waiting(&mut self) {
+        let Waiting { row, first, last } = self.waiting;
+        if first <= last {
+            self.bits.set(row, first, last);
+        }
+    }
 }
 
 impl Default for OccupancyMap {
@@ -251,11 +296,16 @@ impl Default for OccupancyMap {
     }
 }
 
+// What is drawn lies within the scene's part of the image, up to rounding: beyond it the nearest tile is marked, since a mark too many
+// only has a query asked.
 impl Marks for OccupancyMap {
+    #[inline]
     fn piece(&mut self, x: [i32; 2], y: [i32; 2]) -> bool {
-        let (Some(x), Some(y)) = (self.scale.clip(0, x), self.scale.clip(1, y)) else { return false };
-        let [left, right] = self.scale.tiles(0, x);
-        let [top, bottom] = self.scale.tiles(1, y);
+        if self.scale.is_empty() {
+            return false;
+        }
+        let [left, right] = self.scale.nearest(0, x);
+        let [top, bottom] = self.scale.nearest(1, y);
         // A small triangle's rectangle has hardly more tiles than the triangle, and marking takes longer by spans.
         if bottom - top <= 1 && right - left <= 4 {
             (top..=bottom).for_each(|row| self.bits.set(row, left, right));
@@ -264,28 +314,29 @@ impl Marks for OccupancyMap {
         (top..=bottom).any(|row| !self.bits.are_set(row, left, right))
     }
 
+    #[inline]
     fn span(&mut self, y: i32, first: i32, last: i32) {
-        if let (Some(x), Some([y, _])) = (self.scale.clip(0, [first, last]), self.scale.clip(1, [y, y])) {
-            let [left, right] = self.scale.tiles(0, x);
-            self.bits.set(self.scale.tiles[1][y], left, right);
+        let [row, _] = self.scale.nearest(1, [y, y]);
+        let [first, last] = self.scale.nearest(0, [first, last]);
+        if row == self.waiting.row {
+            self.waiting = Waiting { row, first: self.waiting.first.min(first), last: self.waiting.last.max(last) };
+        } else {
+            self.set_waiting();
+            self.waiting = Waiting { row, first, last };
         }
     }
-}
 
-/// Whether a box is seen, if that is known before its pixels are asked about: by the map, or, if `depth` was drawn into, by the
-/// pixel in the middle and those of the corners (§6.1).
-pub(crate) fn foresee(map: &OccupancyMap, depth: &DepthBuffer, is_drawn: bool, aabb: &Aabb) -> Option<bool> {
-    match depth.box_place(aabb) {
-        BoxPlace::Outside => Some(false),
-        BoxPlace::Touching => Some(true),
-        BoxPlace::In(image) if is_drawn => is_foreseen(map, depth, &image).then_some(true),
-        BoxPlace::In(image) => map.shows(&image).then_some(true),
+    #[inline]
+    fn end(&mut self) {
+        self.set_waiting();
+        self.waiting = NOTHING_WAITS;
     }
 }
 
-/// Whether the map or a few pixels tell that a box is seen.
-pub(crate) fn is_foreseen(map: &OccupancyMap, depth: &DepthBuffer, image: &BoxImage) -> bool {
-    map.shows(image) || few_pixels_pass(depth, image, CORNER_ROWS)
+/// Whether a box is seen for certain, before its pixels are asked about: by the map, or, if depths are at hand that a query does not
+/// look at in this order itself, by the pixel in the middle and those of the corners (§6.1).
+pub(crate) fn is_foreseen(map: &OccupancyMap, depth: &DepthBuffer, few_pixels: bool, image: &BoxImage) -> bool {
+    map.shows(image) || (few_pixels && few_pixels_pass(depth, image, CORNER_ROWS))
 }
 
 /// A query of fewer rows of pixels costs no more than eight corners; one of a pyramid does.

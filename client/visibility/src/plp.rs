@@ -172,6 +172,12 @@ impl Plp {
         &self.rules
     }
 
+    /// ρ_max, by which counts of triangles are divided: the most in a cell, or the percentile that the rules name (§3.1). 1 where no cell
+    /// has any.
+    pub fn solidity_max(&self) -> f32 {
+        self.most
+    }
+
     /// The scene.
     pub fn scene(&self) -> &Arc<Scene> {
         &self.scene

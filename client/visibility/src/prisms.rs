@@ -185,10 +185,13 @@ impl Prisms {
         storeys: usize,
         sealed: usize,
     ) -> Option<Prisms> {
+        let plane = cells.root().size();
         let sound = heights.len() >= 2
             && heights.is_sorted_by(|a, b| a < b)
+            && heights.iter().all(|height| height.is_finite())
             && sites.iter().all(|site| site.is_finite())
             && plan.iter().flatten().all(|&site| (site as usize) < sites.len())
+            && is_sound(&sites, &plan, plane.x * plane.z)
             && cells.len() == plan.len() * (heights.len() - 1);
         let buckets = if sound { Buckets::new(&sites, &plan, &cells.root()) } else { return None };
         Some(Prisms { sites, plan, heights, cells, storeys, sealed, buckets })
@@ -442,6 +445,10 @@ fn is_sound(sites: &[DVec2], plan: &[[u32; 3]], area: f64) -> bool {
     each && (filled / area - 1.0).abs() < 1e-9
 }
 
+/// Entries of [`Buckets`] per triangle of the plan, beside [`LISTED_FREE`], beyond which squares are made larger.
+const LISTED_PER_TRIANGLE: usize = 64;
+const LISTED_FREE: usize = 1 << 16;
+
 /// Which triangles of the plan touch which square of a grid.
 #[derive(Clone, Debug)]
 struct Buckets {
@@ -455,15 +462,31 @@ struct Buckets {
 
 impl Buckets {
     fn new(sites: &[DVec2], plan: &[[u32; 3]], root: &Aabb) -> Buckets {
-        let side = ((plan.len() as f64).sqrt() as usize).clamp(1, 512);
         let min = DVec2::new(root.min.x, root.min.z);
         let size = DVec2::new(root.max.x, root.max.z) - min;
-        let mut buckets =
-            Buckets { min, scale: side as f64 / size, side, starts: vec![0; side * side + 1], of_plan: Vec::new() };
+        let mut side = ((plan.len() as f64).sqrt() as usize).clamp(1, 512);
+        let of =
+            |side: usize| Buckets { min, scale: side as f64 / size, side, starts: Vec::new(), of_plan: Vec::new() };
+        let squares = |buckets: &Buckets, corners: &[u32; 3]| {
+            let [a, b, c] = corners.map(|site| sites[site as usize]);
+            buckets.squares(a.min(b).min(c), a.max(b).max(c))
+        };
+        // Slivers across the whole plan would be in most squares: with larger squares lists stay a multiple of the plan.
+        let listed = |buckets: &Buckets| -> usize {
+            let of_one = |corners| {
+                let [low, high] = squares(buckets, corners);
+                (high[0] - low[0] + 1) * (high[1] - low[1] + 1)
+            };
+            plan.iter().map(of_one).sum()
+        };
+        while side > 1 && listed(&of(side)) > LISTED_PER_TRIANGLE * plan.len() + LISTED_FREE {
+            side /= 2;
+        }
+        let mut buckets = of(side);
+        buckets.starts = vec![0; side * side + 1];
         let mut pairs: Vec<(u32, u32)> = Vec::new();
         for (of_plan, corners) in (0..).zip(plan) {
-            let [a, b, c] = corners.map(|site| sites[site as usize]);
-            let [low, high] = buckets.squares(a.min(b).min(c), a.max(b).max(c));
+            let [low, high] = squares(&buckets, corners);
             for y in low[1]..=high[1] {
                 pairs.extend((low[0]..=high[0]).map(|x| ((y * side + x) as u32, of_plan)));
             }

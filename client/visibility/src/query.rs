@@ -23,9 +23,10 @@ pub use culler::CplpQueryCuller;
 pub use histogram::HistogramQuery;
 pub use item_buffer::{ItemBufferQuery, TILE_SIDE};
 pub use one_at_a_time::OneAtATimeQuery;
-pub(crate) use one_at_a_time::{test, test_image};
+pub(crate) use one_at_a_time::{test, test_ahead};
 pub use per_fragment::PerFragmentHistogram;
 
+use crate::raster_sampled::BoxImage;
 use crate::{Aabb, DepthBuffer, Occupancy, OccupancyMap, OccupancyQuery, PixelRect, Scene, View};
 
 /// An image of one view, sampled at pixel centres, that holds what was drawn and answers which boxes can be seen past it.
@@ -74,7 +75,7 @@ pub trait QueryBackEnd {
     }
 
     /// Whether [`QueryBackEnd::foresee`] can tell anything, so that it is worth asking about the cells of a front one by one,
-    /// nearest corner first, before any query.
+    /// nearest corner first, before any query. Not where [`QueryBackEnd::batch`] is one: [`QueryBackEnd::query_left`] foresees then.
     fn foresees(&self) -> bool {
         false
     }
@@ -96,6 +97,19 @@ pub trait QueryBackEnd {
     /// [`QueryBackEnd::query`] for boxes of which nothing was foreseen; [`QueryBackEnd::query_front`] if that is the whole front.
     fn query_left(&mut self, cells: &[Aabb], whole_front: bool, seen: &mut Vec<bool>) -> QueryCost {
         if whole_front { self.query_front(cells, seen) } else { self.query(cells, seen) }
+    }
+
+    /// The same for boxes whose places in [`QueryBackEnd::depth`]'s view were found when nothing could be foreseen of them, so that
+    /// these need not be found again.
+    fn query_placed(&mut self, boxes: &[PlacedBox], whole_front: bool, seen: &mut Vec<bool>) -> QueryCost {
+        let cells: Vec<Aabb> = boxes.iter().map(|placed| placed.aabb).collect();
+        self.query_left(&cells, whole_front, seen)
+    }
+
+    /// Whether [`QueryBackEnd::query_placed`] ends where it sees a box and looks first where most are seen, so that nobody needs to
+    /// look there before.
+    fn looks_ahead(&self) -> bool {
+        false
     }
 
     /// The most boxes whose answers come together. With fewer than a front holds, what is found in one batch can be drawn
@@ -127,6 +141,20 @@ pub trait QueryBackEnd {
 
     /// The same, to draw into.
     fn depth_mut(&mut self) -> &mut DepthBuffer;
+}
+
+/// A box behind the near plane, and where it is in the image of one view.
+#[derive(Clone, Copy, Debug)]
+pub struct PlacedBox {
+    pub(crate) aabb: Aabb,
+    pub(crate) image: BoxImage,
+}
+
+impl PlacedBox {
+    /// The box.
+    pub fn aabb(&self) -> &Aabb {
+        &self.aabb
+    }
 }
 
 /// What queries cost.
@@ -287,6 +315,14 @@ impl QueryBackEnd for CpuQuery {
 
     fn query_left(&mut self, cells: &[Aabb], whole_front: bool, seen: &mut Vec<bool>) -> QueryCost {
         self.chosen_mut().query_left(cells, whole_front, seen)
+    }
+
+    fn query_placed(&mut self, boxes: &[PlacedBox], whole_front: bool, seen: &mut Vec<bool>) -> QueryCost {
+        self.chosen_mut().query_placed(boxes, whole_front, seen)
+    }
+
+    fn looks_ahead(&self) -> bool {
+        self.chosen().looks_ahead()
     }
 
     fn batch(&self) -> usize {

@@ -111,7 +111,8 @@ impl Cplp {
         back_end.begin_scene(view, &self.tessellation().root());
         let mut rounds = RoundsTraversal::default();
         let mut target = Drawn { scene, back_end: &mut *back_end };
-        let foresees = target.back_end.foresees();
+        // Where cells are asked about one by one, what is seen of each is drawn before the next: there is nothing to foresee.
+        let foresees = target.back_end.foresees() && target.back_end.batch() > 1;
         rounds.traversal = self.run(scene, EyeRegion::point(view.eye), budget, &mut target, scratch, |run| {
             rounds.plp_cells = run.done.cells_projected;
             let (mut front, mut batch, mut boxes) = (Vec::new(), Vec::new(), Vec::new());

@@ -388,17 +388,34 @@ pub(crate) mod laws {
         )
     }
 
-    /// Scenes that are hardly scenes: empty, a point, duplicates, flat, far away, huge.
+    /// Small triangles at the corners of a cubic grid of `side`³: whatever is made from their places lies on common spheres by the
+    /// dozen.
+    pub fn grid(side: u32) -> Scene {
+        let at = |i: u32| [i % side, i / side % side, i / (side * side)].map(|at| at as f32);
+        let small = |[x, y, z]: [f32; 3]| triangle([[x, y, z], [x + 0.1, y, z], [x, y + 0.1, z]]);
+        Scene::from_triangles((0..side.pow(3)).map(at).map(small).collect())
+    }
+
+    /// Scenes that are hardly scenes: empty, a point, duplicates, flat in every way, in a line, on a sphere, a grid, far away, huge.
     pub fn poor_scenes() -> Vec<Scene> {
-        let mut flat = soup(5, 300).triangles().to_vec();
-        flat.iter_mut().flat_map(|t| &mut t.corners).for_each(|corner| corner.z = 4.0);
+        let moved = |count: usize, by: &dyn Fn(Vec3) -> Vec3| {
+            let mut triangles = soup(5, count).triangles().to_vec();
+            triangles.iter_mut().flat_map(|t| &mut t.corners).for_each(|corner| *corner = by(*corner));
+            Scene::from_triangles(triangles)
+        };
         let far = [[1e6, 1e6, 1e6], [1e6 + 1.0, 1e6, 1e6], [1e6, 1e6 + 1.0, 1e6]];
         let huge = [[-1e30, 0.0, 0.0], [1e30, 0.0, 0.0], [0.0, 1e30, 1.0]];
         vec![
             Scene::from_triangles(Vec::new()),
             Scene::from_triangles(vec![triangle([[1.0, 2.0, 3.0]; 3])]),
             Scene::from_triangles(vec![triangle([[0.; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]); 200]),
-            Scene::from_triangles(flat),
+            moved(300, &|at| Vec3 { z: 4.0, ..at }),
+            moved(100, &|at| Vec3 { x: -1.0, ..at }),
+            moved(100, &|at| Vec3 { y: 0.0, ..at }),
+            moved(60, &|at| Vec3 { z: -at.x - at.y, ..at }),
+            moved(60, &|at| Vec3::new(1.0, 2.0, -1.0) * at.x),
+            moved(60, &|at| at.normalize_or(Vec3::X) * 5.0),
+            grid(4),
             Scene::from_triangles(vec![triangle(far); 9]),
             Scene::from_triangles(vec![triangle(huge); 9]),
         ]

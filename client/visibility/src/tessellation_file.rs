@@ -366,8 +366,8 @@ impl<'a> Reader<'a> {
     /// A list of things.
     pub(crate) fn list<T>(&mut self, mut read: impl FnMut(&mut Reader<'a>) -> Option<T>) -> Option<Vec<T>> {
         let count = usize::try_from(self.u64()?).ok()?;
-        // No thing takes less than a byte, so that a made-up count reserves no more than there are bytes.
-        let mut things = Vec::with_capacity(count.min(self.0.len() / 4));
+        // A made-up count reserves no more than there are bytes.
+        let mut things = Vec::with_capacity(count.min(self.0.len() / size_of::<T>().max(1)));
         for _ in 0..count {
             things.push(read(self)?);
         }

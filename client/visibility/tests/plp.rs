@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    CentroidOrder, Culler, Delaunay, DelaunayRules, EyeRegion, HierarchicalZ, Octree, OctreeRules, Plp, PlpCells,
-    PlpCuller, PlpRules, PlpScratch, Requeue, Resolution, Scene, Scratch, Seeds, Sides, Solidity, SolidityMax,
-    Transfer, Triangle, View, exact_set, wrong_pixels,
+    CentroidOrder, Culler, Delaunay, DelaunayRules, EyeRegion, FrustumBackface, HierarchicalZ, Octree, OctreeRules,
+    Plp, PlpCells, PlpCuller, PlpRules, PlpScratch, Requeue, Resolution, Scene, Scratch, Seeds, Sides, Solidity,
+    SolidityMax, Transfer, Triangle, View, exact_set, wrong_pixels,
 };
 use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
@@ -155,19 +155,89 @@ fn a_traversal_is_deterministic_steppable_and_can_be_looked_at() {
 #[test]
 fn a_frame_begins_without_touching_all_cells() {
     let scene = Arc::new(Scene::from_triangles(soup(5, 3_000, 0.3)));
-    let cells = PlpCells::Boxes(Arc::new(Octree::build(&scene, OctreeRules::paper())));
-    let plp = Plp::new(scene, cells.clone(), PlpRules::paper());
-    let mut scratch = PlpScratch::default();
-    plp.traverse(&view(DVec3::ZERO), 20, &mut scratch).for_each(drop);
-    let touched = scratch.projected().len() + scratch.front().len();
-    assert!(touched * 10 < cells.len(), "{touched} of {}", cells.len());
-    // Marks are projected cells, the front, and cells found out of view on the way; a traversal without budget marks its seed.
-    assert!((touched..cells.len() / 5).contains(&scratch.marked()), "{} of {}", scratch.marked(), cells.len());
-    plp.traverse(&view(DVec3::ZERO), 0, &mut scratch).for_each(drop);
-    assert_eq!(scratch.marked(), 1);
-    plp.traverse(&view(DVec3::ZERO), usize::MAX, &mut scratch).for_each(drop);
-    assert!(scratch.marked() > 5 * touched);
-    assert_eq!(PlpScratch::default().marked(), 0);
+    for (cells, rules) in
+        both(&scene).into_iter().flat_map(|cells| all_rules().into_iter().map(move |r| (cells.clone(), r)))
+    {
+        let plp = Plp::new(scene.clone(), cells.clone(), rules);
+        let mut scratch = PlpScratch::default();
+        plp.traverse(&view(DVec3::ZERO), 20, &mut scratch).for_each(drop);
+        let touched = scratch.projected().len() + scratch.front().len();
+        assert!(touched * 4 < cells.len(), "{touched} of {}", cells.len());
+        // Marks are projected cells, the front, and cells found out of view on the way; a traversal without budget marks its seed.
+        assert!((touched..cells.len() / 2).contains(&scratch.marked()), "{} of {}", scratch.marked(), cells.len());
+        plp.traverse(&view(DVec3::ZERO), 0, &mut scratch).for_each(drop);
+        assert_eq!(scratch.marked(), 1);
+        // From outside it begins at the hull, in one cell of it or in all that face the eye and are in view.
+        plp.traverse(&view(DVec3::new(0.0, 0.0, 30.0)), 0, &mut scratch).for_each(drop);
+        let seeds = scratch.marked();
+        assert!(seeds > 0 && (rules.seeds == Seeds::Hull || seeds == 1) && seeds * 2 < cells.len(), "{seeds}");
+        plp.traverse(&view(DVec3::ZERO), usize::MAX, &mut scratch).for_each(drop);
+        assert!(scratch.marked() > touched);
+        assert_eq!(PlpScratch::default().marked(), 0);
+    }
+    // Cells a fraction as large are many times as many, and a frame marks no more of them.
+    let marked = |leaf_side: f64| {
+        let octree = Octree::build(&scene, OctreeRules::paper().with_leaf_side(leaf_side));
+        let cells = PlpCells::Boxes(Arc::new(octree));
+        let plp = Plp::new(scene.clone(), cells.clone(), PlpRules::paper());
+        let mut scratch = PlpScratch::default();
+        plp.traverse(&view(DVec3::ZERO), 5, &mut scratch).for_each(drop);
+        (scratch.marked(), cells.len())
+    };
+    let [(few, coarse), (many, fine)] = [0.1, 0.025].map(marked);
+    assert!(fine > 8 * coarse && many < 4 * few + 50, "{few} of {coarse}, {many} of {fine}");
+}
+
+/// With budget enough the order is all that is left: what is drawn is what view-frustum and back-face culling draw.
+#[test]
+fn without_a_limit_the_triangles_are_those_of_frustum_and_back_face_culling() {
+    let scene = Arc::new(Scene::from_triangles(soup(8, 800, 0.4)));
+    let frustum = FrustumBackface::new(scene.clone());
+    for eye in [DVec3::new(0.3, 0.2, 1.0), DVec3::new(0.0, 1.0, 25.0)] {
+        let view = view(eye);
+        let all = cull(&frustum, &view);
+        assert!(all.len() > 50);
+        for cells in both(&scene) {
+            for rules in all_rules() {
+                let plp = Arc::new(Plp::new(scene.clone(), cells.clone(), rules));
+                let mut drawn = cull(&PlpCuller::new(plp, usize::MAX), &view);
+                if rules.solidity == Solidity::Count {
+                    // The paper's rule draws what holds no pixel centre too.
+                    assert!(all.iter().all(|id| drawn.binary_search(id).is_ok()), "{rules:?}");
+                    drawn.retain(|id| all.binary_search(id).is_ok());
+                }
+                assert_eq!(drawn, all, "{rules:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn counts_are_divided_by_the_most_or_by_a_percentile_of_the_cells_with_triangles() {
+    let scene = wall_and_crowd(300);
+    for cells in both(&scene) {
+        let mut counts: Vec<usize> = (0..cells.len() as u32).map(|cell| cells.primitives(cell).len()).collect();
+        counts.retain(|count| *count > 0);
+        counts.sort_unstable();
+        let most = |solidity_max| {
+            let rules = PlpRules::paper().with_solidity_max(solidity_max);
+            Plp::new(scene.clone(), cells.clone(), rules).solidity_max() as usize
+        };
+        let greatest = counts[counts.len() - 1];
+        assert_eq!(most(SolidityMax::Maximum), greatest);
+        for share in [0.5, 0.9, 0.99] {
+            let percentile = most(SolidityMax::Percentile(share));
+            let within = counts.iter().filter(|count| **count <= percentile).count();
+            let below = counts.iter().filter(|count| **count < percentile).count();
+            assert!(within as f64 >= share * counts.len() as f64 && (below as f64) < share * counts.len() as f64);
+        }
+        assert!(most(SolidityMax::Percentile(0.5)) < greatest);
+        assert_eq!((most(SolidityMax::Percentile(0.0)), most(SolidityMax::Percentile(1.0))), (counts[0], greatest));
+        // What is no share is the maximum.
+        assert_eq!([f64::NAN, -1.0, 7.0].map(|share| most(SolidityMax::Percentile(share))), [greatest; 3]);
+    }
+    let nothing = Arc::new(Scene::from_triangles(Vec::new()));
+    assert_eq!(Plp::new(nothing.clone(), boxes(&nothing), PlpRules::paper()).solidity_max(), 1.0);
 }
 
 #[test]

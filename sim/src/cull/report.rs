@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::Context;
 
+use super::frames;
 use super::gpu;
 use super::row::columns;
 use super::run::{CullConfig, Outcome};
@@ -37,8 +38,16 @@ pub fn report(run: Run, world: &World, outcome: &Outcome, config: &CullConfig) -
             config.eyes.max(1) - 1
         ));
     }
+    report.run.notes.push("each view by itself: frames.csv beside this report".into());
     for row in &outcome.rows {
         report.push(row)?;
+    }
+    let guesses = outcome.rows.iter().any(|row| row.budget.is_some() && !row.conservative);
+    if guesses && outcome.rows.iter().all(|row| row.over_frustum.is_none()) {
+        report.run.notes.push(
+            "what guessing costs over culling by the frustum is told if frustum-backface runs too, and views are timed"
+                .into(),
+        );
     }
     report.headline = headline(outcome, world.notes.iter().any(|note| note == gpu::SOFTWARE));
     let labels = ["culler", "tessellation", "query", "budget", "resolution", "eye_radius"];
@@ -97,6 +106,7 @@ pub fn report(run: Run, world: &World, outcome: &Outcome, config: &CullConfig) -
             (at(row), row.rounds)
         }));
     }
+    report.plots.extend(frames::plots(&outcome.frames, &outcome.rows));
     if config.eye_radii.len() > 1 {
         report.plots.push(scatter(
             "What a ball of eyes costs",
@@ -184,6 +194,12 @@ fn headline(outcome: &Outcome, software: bool) -> String {
             row.frame_ms,
             row.draw_ms,
             row.per_max_pass
+        );
+    }
+    let over: Vec<f64> = outcome.rows.iter().filter_map(|row| row.over_frustum).collect();
+    if let (Some(least), Some(most)) = (over.iter().copied().reduce(f64::min), over.iter().copied().reduce(f64::max)) {
+        text += &format!(
+            " Guessing takes {least:.2} to {most:.2} times what frustum-backface takes for as many triangles (over_frustum)."
         );
     }
     text

@@ -12,6 +12,7 @@ use std::time::Instant;
 use eyeline_visibility::{CameraPath, DynamicIndex, EyeRegion, ItemBuffer, Resolution, View};
 
 use super::candidate::Candidate;
+use super::frames::FrameRow;
 use super::max_pass::MaxPass;
 use super::picture::Picture;
 use super::registry::{Entry, Registry, Setting};
@@ -56,6 +57,8 @@ pub struct Pictures {
 pub struct Outcome {
     /// A row for each resolution, radius and setting.
     pub rows: Vec<CullRow>,
+    /// The same view by view, in the order of the rows.
+    pub frames: Vec<FrameRow>,
     /// For the first resolution and radius: the first view's truth, and what each culler made of its worst view.
     pub pictures: Vec<Pictures>,
     /// What a reader of the report should know about how cullers were made.
@@ -95,7 +98,7 @@ pub fn run(
     let mut notes: Vec<String> = made.iter().filter_map(|(setting, ..)| stand_in(setting)).collect();
     notes.dedup();
     notes.append(&mut faults);
-    let mut outcome = Outcome { rows: Vec::new(), pictures: Vec::new(), notes };
+    let mut outcome = Outcome { rows: Vec::new(), frames: Vec::new(), pictures: Vec::new(), notes };
     for &resolution in &config.resolutions {
         let mut max_pass = MaxPass::new(resolution);
         for &radius in &config.eye_radii {
@@ -136,7 +139,9 @@ pub fn run(
                     build_ms: *build_ms,
                     config,
                 };
-                outcome.rows.push(tally.row(&about, resolution, radius));
+                let (row, frames) = tally.rows(&about, resolution, radius);
+                outcome.rows.push(row);
+                outcome.frames.extend(frames);
             }
             tell_overhead(&mut outcome.rows[begin..]);
             if let Some(view) = views.first().filter(|_| first) {
@@ -154,13 +159,15 @@ pub fn run(
     outcome
 }
 
-/// What guessing costs beyond culling by the frustum, at equal triangles: where the latter runs too, its time for a triangle that it
-/// keeps is taken off for each triangle that a culler with a budget keeps.
+/// What guessing costs beyond culling by the frustum, at equal triangles: the latter's time for a triangle that it keeps is set against
+/// the time for each triangle that a culler with a budget keeps. Within 100 % both keep the same triangles.
 fn tell_overhead(rows: &mut [CullRow]) {
     let frustum = rows.iter().find(|row| row.culler == FRUSTUM && row.kept > 0.0 && row.frame_ms > 0.0);
     let Some(per_triangle) = frustum.map(|row| row.frame_ms / row.kept) else { return };
     for row in rows.iter_mut().filter(|row| row.budget.is_some() && !row.conservative) {
-        row.overhead_ms = Some(row.frame_ms - per_triangle * row.kept);
+        let plain = per_triangle * row.kept;
+        row.overhead_ms = Some(row.frame_ms - plain);
+        row.over_frustum = (plain > 0.0).then(|| row.frame_ms / plain);
     }
 }
 

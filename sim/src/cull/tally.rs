@@ -14,6 +14,7 @@ use glam::DVec3;
 
 use super::candidate::Candidate;
 use super::fragments::Fragments;
+use super::frames::{Frame, FrameRow, frame_rows};
 use super::max_pass::MaxPass;
 use super::registry::Setting;
 use super::row::CullRow;
@@ -127,17 +128,24 @@ impl Try<'_> {
         let lost_share = lost.len() as f64 / truth.winners.len().max(1) as f64;
         tally.found_share += 1.0 - lost_share;
         tally.lost_share_most = tally.lost_share_most.max(lost_share);
-        if tally.frames > 0 {
+        let drawn_churn = (!tally.views.is_empty()).then(|| new_share(&culled.visible, &tally.drawn));
+        if let Some(drawn_churn) = drawn_churn {
             tally.churn += new_share(&shown, &tally.shown);
-            tally.drawn_churn.push(new_share(&culled.visible, &tally.drawn));
+            tally.drawn_churn.push(drawn_churn);
         }
+        tally.views.push(Frame {
+            exact: truth.winners.len(),
+            found: shown.len(),
+            wrong_pixels: wrong,
+            kept: culled.visible.len(),
+            drawn_churn,
+        });
         tally.shown = shown;
         tally.drawn.clone_from(&culled.visible);
         if let Some(budget) = candidate.budget() {
             tally.budget += budget as u64;
             tally.budgets += 1;
         }
-        tally.frames += 1;
         tally.pixels += view.resolution.pixels() as u64;
         tally.wrong_max = tally.wrong_max.max(wrong);
         tally.wrong += wrong;
@@ -166,7 +174,7 @@ pub(super) fn index_of(world: &World) -> DynamicOctree {
 #[derive(Default)]
 pub(super) struct Tally {
     index: Option<DynamicOctree>,
-    frames: usize,
+    views: Vec<Frame>,
     pixels: u64,
     wrong: u64,
     wrong_max: u64,
@@ -267,8 +275,17 @@ impl Tally {
         self.repeats.clear();
     }
 
-    pub(super) fn row(self, about: &About, resolution: Resolution, radius: f64) -> CullRow {
-        let frames = self.frames.max(1) as f64;
+    /// The row of all views, and those of each.
+    pub(super) fn rows(self, about: &About, resolution: Resolution, radius: f64) -> (CullRow, Vec<FrameRow>) {
+        let views = self.views.clone();
+        let times = (about.config.repeats > 0).then(|| self.frame_ms.clone());
+        let row = self.row(about, resolution, radius);
+        let frames = frame_rows(&row, &views, times.as_deref());
+        (row, frames)
+    }
+
+    fn row(self, about: &About, resolution: Resolution, radius: f64) -> CullRow {
+        let frames = self.views.len().max(1) as f64;
         let mean = |sum: u64| sum as f64 / frames;
         let has_objects = !about.world.object_boxes.is_empty();
         let frame_ms = self.frame_ms.iter().sum::<f64>() / frames;
@@ -286,7 +303,7 @@ impl Tally {
             resolution: resolution.to_string(),
             eye_radius: radius,
             eyes: if radius > 0.0 { about.config.eyes.max(1) } else { 1 },
-            frames: self.frames,
+            frames: self.views.len(),
             conservative: about.conservative,
             ok: !about.conservative || (self.wrong == 0 && self.lost == 0),
             wrong_pixels_max: self.wrong_max,
@@ -294,10 +311,10 @@ impl Tally {
             lost_visible: self.lost,
             cracks: self.cracks,
             visible_found: if self.winners == 0 { 1.0 } else { 1.0 - self.lost as f64 / self.winners as f64 },
-            visible_found_mean: if self.frames == 0 { 1.0 } else { self.found_share / frames },
+            visible_found_mean: if self.views.is_empty() { 1.0 } else { self.found_share / frames },
             visible_found_least: 1.0 - self.lost_share_most,
             wrong_percent_max: ratio(100.0 * self.wrong_max as f64, resolution.pixels() as f64),
-            churn: if self.frames < 2 { 0.0 } else { self.churn / (frames - 1.0) },
+            churn: if self.views.len() < 2 { 0.0 } else { self.churn / (frames - 1.0) },
             drawn_churn: ratio(self.drawn_churn.iter().sum(), self.drawn_churn.len() as f64),
             drawn_churn_p95: percentile(self.drawn_churn, 0.95),
             kept: mean(self.kept),
@@ -325,6 +342,7 @@ impl Tally {
             max_pass_ms,
             per_max_pass: ratio(frame_ms, max_pass_ms),
             overhead_ms: None,
+            over_frustum: None,
             draw_ms,
             total_ms: frame_ms + draw_ms,
             build_ms: about.build_ms,

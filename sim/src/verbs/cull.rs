@@ -9,6 +9,7 @@ use std::time::{Instant, SystemTime};
 use clap::Args;
 use eyeline_protocol::PlanSwitch;
 use eyeline_server::app::number;
+use eyeline_sim::cull::frames::write_frames;
 use eyeline_sim::cull::gpu::{GpuSide, NoGpu, PREFIX};
 use eyeline_sim::cull::report::{report, write_pictures};
 use eyeline_sim::cull::run::run as run_cullers;
@@ -108,7 +109,7 @@ pub struct Cull {
     #[arg(long)]
     gpu: bool,
 
-    /// Folder for report.html, report.json, report.csv and the pictures
+    /// Folder for report.html, report.json, report.csv, frames.csv (each view by itself) and the pictures
     #[arg(long, value_name = "DIR", default_value = "out/cull")]
     out: PathBuf,
 }
@@ -129,9 +130,12 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim cull --world engine --cullers plp,centroid --budgets 1%,2%,5%,10%
   eyeline-sim cull --world city --cullers plp-paper --tessellation octree,fine-octree
 
-  The same by the visible set, by an automatic budget and by a deadline; what guessing costs beyond the frustum (overhead_ms):
+  The same by the visible set, by an automatic budget and by a deadline:
   eyeline-sim cull --world oa_dm2.glb --cullers plp,centroid --budgets 1x,2x,4x
   eyeline-sim cull --world vessels --cullers frustum-backface,plp --budgets auto,4ms
+
+  What guessing costs beyond the frustum at equal triangles (overhead_ms, over_frustum):
+  eyeline-sim cull --world city --cullers frustum-backface,plp,plp-paper --tessellation octree,delaunay --budgets 10%,100%
 
   What occupancy maps spare (Staneker 2003, table 2: visible_query_pixels), each back end with and without:
   eyeline-sim cull --world city --cullers cplp,cplp-occupancy,cplp-batches --query all
@@ -253,6 +257,7 @@ pub fn run(options: &Cull) -> anyhow::Result<()> {
     run.wall_seconds = began.elapsed().as_secs_f64();
     let mut report = report(run, &world, &outcome, &config)?;
     let costs = gpu.map_or(Ok(Vec::new()), |gpu| gpu.measure(&mut report, &outcome))?;
+    write_frames(&outcome.frames, &options.out)?;
     write_pictures(&mut report, &outcome, &options.out)?;
     let written = report.write(&options.out)?;
     let short: Vec<_> = columns().into_iter().filter(|column| row::SHORT.contains(&column.key.as_str())).collect();

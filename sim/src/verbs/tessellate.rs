@@ -14,7 +14,7 @@ use eyeline_visibility::AnyTessellation;
 /// Options of `tessellate`.
 #[derive(Args)]
 pub struct Tessellate {
-    /// A .glb or .gltf, or a made world: building, city, engine, office, tower or rooms
+    /// A .glb or .gltf, or a made world: building, city, engine, office, seminar, tower, vessels, rooms or room
     #[arg(value_name = "FILE|NAME")]
     scene: String,
 

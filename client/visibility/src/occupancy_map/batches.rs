@@ -32,11 +32,7 @@ impl Batches {
         let [top, bottom] = scale.tiles(1, y);
         self.0
             .iter_mut()
-            .position(|taken| {
-                let free = (top..=bottom).any(|row| !taken.are_set(row, left, right));
-                (top..=bottom).for_each(|row| taken.set(row, left, right));
-                free
-            })
+            .position(|taken| (top..=bottom).fold(false, |free, row| taken.take(row, left, right) | free))
             .unwrap_or(Batches::COUNT - 1)
     }
 }

@@ -1,8 +1,8 @@
 //! Occupancy maps in front of any query back end (Staneker et al. 2003, figure 6).
 
-use super::{Batches, Occupancy, OccupancyMap, foresee};
+use super::{Batches, Occupancy, OccupancyMap, is_foreseen};
 use crate::raster_sampled::BoxPlace;
-use crate::{Aabb, DepthBuffer, PixelRect, QueryBackEnd, QueryCost, Scene, View};
+use crate::{Aabb, DepthBuffer, PixelRect, PlacedBox, QueryBackEnd, QueryCost, Scene, View};
 
 /// A back end that is asked only about boxes of which a map, and the pixels of their corners, know nothing.
 ///
@@ -13,7 +13,11 @@ pub struct OccupancyQuery<B> {
     map: OccupancyMap,
     /// Unless what is left is asked all at once.
     batches: Option<Box<Batches>>,
-    left: Vec<Aabb>,
+    /// Boxes of which nothing was foreseen, in that order, and once arranged by batch: to find a box in the image takes as long as to
+    /// ask about a small one, and is done once. Those before `asked` were asked about.
+    placed: Vec<PlacedBox>,
+    asked: usize,
+    spare: Vec<PlacedBox>,
     left_at: Vec<usize>,
     left_seen: Vec<bool>,
 }
@@ -26,10 +30,31 @@ impl<B: QueryBackEnd> OccupancyQuery<B> {
             inner,
             map: OccupancyMap::new(),
             batches,
-            left: Vec::new(),
+            placed: Vec::new(),
+            asked: 0,
+            spare: Vec::new(),
             left_at: Vec::new(),
             left_seen: Vec::new(),
         }
+    }
+
+    /// Forgets boxes that were foreseen nothing of.
+    fn forget(&mut self) {
+        self.placed.clear();
+        self.asked = 0;
+    }
+
+    /// Puts what was placed into the order in which batches are asked, each as it was within itself.
+    fn sort_placed(&mut self, batch_of: &[u32]) {
+        if self.placed.len() != batch_of.len() || batch_of.is_sorted() {
+            return;
+        }
+        self.spare.clear();
+        for batch in 0..=batch_of.iter().copied().max().unwrap_or(0) {
+            let of_batch = batch_of.iter().zip(&self.placed).filter(|(of, _)| **of == batch);
+            self.spare.extend(of_batch.map(|(_, placed)| *placed));
+        }
+        std::mem::swap(&mut self.placed, &mut self.spare);
     }
 
     /// The back end behind the maps.
@@ -57,6 +82,7 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
     fn begin_scene(&mut self, view: &View, scene: &Aabb) {
         self.inner.begin_scene(view, scene);
         self.map.begin(self.inner.depth(), scene);
+        self.forget();
     }
 
     fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
@@ -73,26 +99,35 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
 
     fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
         seen.clear();
-        self.left.clear();
+        self.forget();
         self.left_at.clear();
         for (at, cell) in cells.iter().enumerate() {
             let foreseen = self.foresee(cell);
             seen.push(foreseen == Some(true));
             if foreseen.is_none() {
-                self.left.push(*cell);
                 self.left_at.push(at);
             }
         }
-        if self.left.is_empty() {
+        if self.placed.is_empty() {
             return QueryCost::default();
         }
-        let cost = self.inner.query(&self.left, &mut self.left_seen);
+        let cost = self.inner.query_placed(&self.placed, false, &mut self.left_seen);
         self.left_at.iter().zip(&self.left_seen).for_each(|(&at, &answer)| seen[at] = answer);
+        self.forget();
         cost
     }
 
     fn query_left(&mut self, cells: &[Aabb], whole_front: bool, seen: &mut Vec<bool>) -> QueryCost {
-        self.inner.query_left(cells, whole_front, seen)
+        let end = self.asked + cells.len();
+        match self.placed.get(self.asked..end).filter(|placed| are_of(placed, cells)) {
+            Some(placed) => {
+                self.asked = end;
+                self.inner.query_placed(placed, whole_front, seen)
+            }
+            // Nobody tried to foresee these.
+            None if self.inner.batch() == 1 => self.query(cells, seen),
+            None => self.inner.query_left(cells, whole_front, seen),
+        }
     }
 
     fn foresees(&self) -> bool {
@@ -100,23 +135,47 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
     }
 
     fn foresee(&mut self, cell: &Aabb) -> Option<bool> {
-        foresee(&self.map, self.inner.depth(), self.inner.depth_is_drawn(), cell)
+        if self.asked > 0 {
+            // Another front begins.
+            self.forget();
+        }
+        let depth = self.inner.depth();
+        let image = match depth.box_place(cell) {
+            BoxPlace::Outside => return Some(false),
+            BoxPlace::Touching => return Some(true),
+            BoxPlace::In(image) => image,
+        };
+        if is_foreseen(&self.map, depth, self.inner.depth_is_drawn() && !self.inner.looks_ahead(), &image) {
+            return Some(true);
+        }
+        self.placed.push(PlacedBox { aabb: *cell, image });
+        None
     }
 
     fn arrange(&mut self, cells: &[Aabb], batch_of: &mut Vec<u32>) {
+        self.asked = 0;
+        if !are_of(&self.placed, cells) {
+            self.placed.clear();
+        }
         let Some(batches) = self.batches.as_mut().filter(|_| self.inner.batch() > 1) else {
             return self.inner.arrange(cells, batch_of);
         };
         batches.begin();
         batch_of.clear();
-        let depth = self.inner.depth();
-        batch_of.extend(cells.iter().map(|cell| match depth.rectangle(cell) {
-            BoxPlace::In(rectangle) => {
-                let [x, y] = [rectangle.x, rectangle.y].map(|range| range.map(|at| at as i32));
-                batches.place(self.map.scale(), x, y) as u32
-            }
-            BoxPlace::Outside | BoxPlace::Touching => 0,
-        }));
+        let (depth, scale) = (self.inner.depth(), self.map.scale());
+        if self.placed.is_empty() {
+            batch_of.extend(cells.iter().map(|cell| match depth.rectangle(cell) {
+                BoxPlace::In(rectangle) => {
+                    let [x, y] = [rectangle.x, rectangle.y].map(|range| range.map(|at| at as i32));
+                    batches.place(scale, x, y) as u32
+                }
+                BoxPlace::Outside | BoxPlace::Touching => 0,
+            }));
+        } else {
+            let place = |placed: &PlacedBox| batches.place(scale, placed.image.x, placed.image.y) as u32;
+            batch_of.extend(self.placed.iter().map(place));
+            self.sort_placed(batch_of);
+        }
     }
 
     fn batch(&self) -> usize {
@@ -138,4 +197,9 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
     fn depth_mut(&mut self) -> &mut DepthBuffer {
         self.inner.depth_mut()
     }
+}
+
+/// Whether these are the places of these boxes.
+fn are_of(placed: &[PlacedBox], cells: &[Aabb]) -> bool {
+    placed.len() == cells.len() && placed.iter().zip(cells).all(|(placed, cell)| placed.aabb == *cell)
 }

@@ -3,8 +3,8 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::*;
-use crate::query::test;
-use crate::{ItemBuffer, Resolution, Scene, Sides, Triangle, View};
+use crate::query::{test, test_ahead};
+use crate::{ItemBuffer, QueryBackEnd, QueryKind, Resolution, Scene, Sides, Triangle, View};
 
 const RESOLUTIONS: [Resolution; 5] = [
     Resolution::new(1, 1),
@@ -48,6 +48,15 @@ fn tile_of(map: &OccupancyMap, [x, y]: [usize; 2]) -> Option<[usize; 2]> {
         (from..end).contains(&at).then(|| (at - from) * most.min(pixels) / pixels)
     };
     Some([axis(x, map.scale.part[0], COLUMNS)?, axis(y, map.scale.part[1], ROWS)?])
+}
+
+/// What a layer that looks at few pixels knows of a box.
+fn foresee(map: &OccupancyMap, depth: &DepthBuffer, few_pixels: bool, aabb: &Aabb) -> Option<bool> {
+    match depth.box_place(aabb) {
+        BoxPlace::Outside => Some(false),
+        BoxPlace::Touching => Some(true),
+        BoxPlace::In(image) => is_foreseen(map, depth, few_pixels, &image).then_some(true),
+    }
 }
 
 fn is_set(map: &OccupancyMap, [column, row]: [usize; 2]) -> bool {
@@ -131,6 +140,8 @@ fn what_a_map_shows_a_query_sees() {
                 let foreseen = foresee(&map, &depth, true, &aabb);
                 assert!(foreseen.is_none_or(|known| known == answer), "{aabb:?} {view:?}");
                 if let BoxPlace::In(image) = depth.box_place(&aabb) {
+                    // Another order of the same pixels.
+                    assert_eq!(test_ahead(&depth, &image).0, answer, "{aabb:?} {view:?}");
                     // Without depths only the map speaks.
                     assert_eq!(foresee(&map, &depth, false, &aabb), map.shows(&image).then_some(true));
                     asked += 1;
@@ -208,4 +219,56 @@ fn boxes_of_a_batch_reach_into_tiles_of_their_own() {
     // Half beside it.
     assert_eq!(place([80, 120], [20, 79]), 0);
     assert_eq!(place([-50, -1], [0, 9]), 0);
+}
+
+#[test]
+fn a_back_end_behind_maps_answers_as_it_does_alone_however_it_is_asked() {
+    let mut rng = Pcg64::seed_from_u64(4);
+    let (mut seen_in_all, mut left_in_all, mut asked) = (0, 0, 0);
+    for kind in QueryKind::ALL {
+        for (i, occupancy) in [Occupancy::Single, Occupancy::Batched].into_iter().enumerate() {
+            let view = any_view(&mut rng, RESOLUTIONS[3 + i % 2]);
+            let scene = triangles(&mut rng, 30);
+            let boxes: Vec<Aabb> = (0..60).map(|_| any_box(&mut rng)).collect();
+            let (mut alone, mut layer) = (kind.back_end(), OccupancyQuery::new(kind.back_end(), occupancy));
+            alone.begin_scene(&view, &scene.bounds());
+            layer.begin_scene(&view, &scene.bounds());
+            let all: Vec<u32> = (0..30).collect();
+            let (mut plain, mut seen, mut batch_of) = (Vec::new(), Vec::new(), Vec::new());
+            for ids in all.chunks(10) {
+                alone.draw(&scene, ids);
+                layer.draw(&scene, ids);
+                alone.query(&boxes, &mut plain);
+                layer.query(&boxes, &mut seen);
+                assert_eq!(seen, plain, "{kind} {occupancy:?}");
+
+                // As a traversal asks: what is foreseen, then batch by batch what is left.
+                let mut answers: Vec<Option<bool>> = boxes.iter().map(|aabb| layer.foresee(aabb)).collect();
+                let left: Vec<usize> = (0..boxes.len()).filter(|&at| answers[at].is_none()).collect();
+                let of = |numbers: &[usize]| numbers.iter().map(|&at| boxes[at]).collect::<Vec<Aabb>>();
+                layer.arrange(&of(&left), &mut batch_of);
+                assert_eq!(batch_of.len(), left.len());
+                for batch in 0..=batch_of.iter().copied().max().unwrap_or(0) {
+                    let numbers: Vec<usize> =
+                        left.iter().zip(&batch_of).filter(|(_, of)| **of == batch).map(|(&at, _)| at).collect();
+                    layer.query_left(&of(&numbers), false, &mut seen);
+                    numbers.iter().zip(&seen).for_each(|(&at, &answer)| answers[at] = Some(answer));
+                }
+                assert!(answers.iter().zip(&plain).all(|(answer, plain)| *answer == Some(*plain)), "{kind}");
+
+                // And out of turn, with other boxes than were foreseen nothing of.
+                let others: Vec<Aabb> = boxes.iter().rev().copied().collect();
+                boxes[..9].iter().for_each(|aabb| {
+                    layer.foresee(aabb);
+                });
+                layer.arrange(&others, &mut batch_of);
+                layer.query_left(&others, false, &mut seen);
+                assert!(seen.iter().eq(plain.iter().rev()), "{kind}");
+                seen_in_all += plain.iter().filter(|seen| **seen).count();
+                left_in_all += left.len();
+                asked += boxes.len();
+            }
+        }
+    }
+    assert!(seen_in_all * 5 > asked && left_in_all > 60, "{seen_in_all} {left_in_all} of {asked}");
 }

@@ -163,3 +163,112 @@ fn scenes_without_storeys_say_what_was_counted() {
     let text = Prisms::build(&soup(3, 300)).unwrap_err().to_string();
     assert!(text.contains("0 levels face up and 0 down"), "{text}");
 }
+
+/// A floor and a ceiling, over which plans are drawn.
+fn slabs() -> Vec<Triangle> {
+    let mut triangles = Vec::new();
+    solid(&mut triangles, [-6.0, -0.2, -6.0], [6.0, 0.0, 6.0], 0.0);
+    solid(&mut triangles, [-6.0, 3.0, -6.0], [6.0, 3.2, 6.0], 0.0);
+    triangles
+}
+
+/// An upright wall over the height of the storey.
+fn wall(triangles: &mut Vec<Triangle>, from: [f32; 2], to: [f32; 2]) {
+    let corner = |[x, z]: [f32; 2], y: f32| Vec3::new(x, y, z);
+    for corners in
+        [[corner(from, 0.0), corner(to, 0.0), corner(to, 3.0)], [corner(from, 0.0), corner(to, 3.0), corner(from, 3.0)]]
+    {
+        triangles.push(Triangle { corners, sides: Sides::Both, occludes: true });
+    }
+}
+
+#[test]
+fn degenerate_plans_make_prisms_or_say_why_not() {
+    let mut plans: Vec<(&str, Vec<Triangle>)> = vec![("no walls", slabs())];
+    let mut plan = |name, walls: &dyn Fn(&mut Vec<Triangle>)| {
+        let mut triangles = slabs();
+        walls(&mut triangles);
+        plans.push((name, triangles));
+    };
+    plan("one wall", &|walls| wall(walls, [-5.0, 0.3], [5.0, 0.3]));
+    plan("the same wall", &|walls| (0..40).for_each(|_| wall(walls, [-5.0, 0.3], [5.0, 0.3])));
+    plan("there and back", &|walls| {
+        wall(walls, [-5.0, 0.3], [5.0, 0.3]);
+        wall(walls, [5.0, 0.3], [-5.0, 0.3]);
+    });
+    plan("pieces of one line", &|walls| {
+        (0..9).for_each(|i| wall(walls, [i as f32 - 5.0, 1.0], [i as f32 - 3.5, 1.0]));
+    });
+    // Corners on common circles by the dozen.
+    plan("pillars in a grid", &|walls| {
+        for i in 0..36_i16 {
+            let [x, z] = [i % 6, i / 6].map(|at| f32::from(at) * 2.0 - 5.0);
+            solid(walls, [x - 0.2, 0.0, z - 0.2], [x + 0.2, 3.0, z + 0.2], 0.0);
+        }
+    });
+    plan("a round hall", &|walls| {
+        let at = |i: i32| (i as f32 * std::f32::consts::TAU / 48.0).sin_cos();
+        (0..48).for_each(|i| wall(walls, [at(i).0 * 5.0, at(i).1 * 5.0], [at(i + 1).0 * 5.0, at(i + 1).1 * 5.0]));
+    });
+    plan("spokes through one point", &|walls| {
+        (0..24).for_each(|i| {
+            let (sin, cos) = (i as f32 * std::f32::consts::TAU / 48.0).sin_cos();
+            wall(walls, [-5.0 * cos, -5.0 * sin], [5.0 * cos, 5.0 * sin]);
+        });
+    });
+    // Shorter than a step of the grid, and of no length at all.
+    plan("points", &|walls| (0..9).for_each(|i| wall(walls, [i as f32 * 0.5, 1.0], [i as f32 * 0.5 + 1e-4, 1.0])));
+    plan("nothing", &|walls| (0..9).for_each(|_| wall(walls, [1.0, 1.0], [1.0, 1.0])));
+    plan("nearly the same wall", &|walls| {
+        (0..20).for_each(|i| wall(walls, [-5.0, 0.3], [5.0, 0.3 + i as f32 * 1e-3]));
+    });
+    let mut made = 0;
+    for (name, triangles) in plans {
+        let scene = Scene::from_triangles(triangles);
+        let prisms = match Prisms::build(&scene) {
+            Ok(prisms) => prisms,
+            Err(error @ (PrismsError::NoStoreys { .. } | PrismsError::Unsound { .. })) => {
+                assert!(error.to_string().starts_with("no "), "{name}: {error}");
+                continue;
+            }
+            Err(error) => panic!("{name}: {error}"),
+        };
+        made += 1;
+        let volume = |cell| {
+            let [a, b, c, above, ..] = prisms.corners(cell);
+            (b - a).cross(c - a).length() * 0.5 * (above.y - a.y)
+        };
+        let filled: f64 = (0..prisms.cell_count() as CellId).map(volume).sum();
+        assert!((filled / prisms.root().size().element_product() - 1.0).abs() < 1e-9, "{name}");
+        for (id, triangle) in (0..).zip(scene.triangles()) {
+            let [a, b, c] = triangle.corners.map(|corner| corner.as_dvec3());
+            for point in [a, b, c, (a + b + c) / 3.0] {
+                assert!(prisms.primitives(prisms.cell_at(point).unwrap()).contains(&id), "{name}: {point}");
+            }
+        }
+    }
+    assert!(made >= 8, "{made}");
+}
+
+#[test]
+fn a_plan_of_slivers_takes_no_more_room_than_a_multiple_of_it() {
+    // A fan of 20,000 triangles from one corner: each reaches across half of the plan.
+    let count = 10_000;
+    let mut sites = vec![DVec2::ZERO, DVec2::new(1.0, 0.0)];
+    sites.extend((1..=count).map(|i| DVec2::new(1.0, f64::from(i) / f64::from(count))));
+    sites.extend((1..=count).map(|i| DVec2::new(1.0 - f64::from(i) / f64::from(count), 1.0)));
+    let plan: Vec<[u32; 3]> = (1..sites.len() as u32 - 1).map(|at| [0, at, at + 1]).collect();
+    let root = Aabb::new(DVec3::ZERO, DVec3::ONE);
+    assert!(is_sound(&sites, &plan, 1.0));
+    let buckets = Buckets::new(&sites, &plan, &root);
+    assert!(buckets.memory_bytes() < 500 * plan.len(), "{}", buckets.memory_bytes());
+    let mut found = Vec::new();
+    let point = DVec3::new(0.5, 0.0, 0.25);
+    buckets.visit(&Aabb::new(point, point), |of_plan| found.push(of_plan));
+    let holds = |corners: [u32; 3]| {
+        let [a, b, c] = corners.map(|site| sites[site as usize]);
+        let at = DVec2::new(0.5, 0.25);
+        [(a, b), (b, c), (c, a)].into_iter().all(|(from, to)| (to - from).perp_dot(at - from) >= 0.0)
+    };
+    assert!(found.iter().any(|&of_plan| holds(plan[of_plan as usize])));
+}

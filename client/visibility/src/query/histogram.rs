@@ -1,7 +1,7 @@
 //! How often does each colour occur in the image? The OpenGL histogram technique (Klosowski & Silva 2001, §3.3).
 
 use super::passes::{Colour, Passes, ReadBack};
-use super::{QueryBackEnd, QueryCost};
+use super::{PlacedBox, QueryBackEnd, QueryCost};
 use crate::{Aabb, DepthBuffer, View};
 
 /// Colours of a luminance image, one of them the background's.
@@ -72,6 +72,17 @@ impl QueryBackEnd for HistogramQuery {
         let mut bins = Bins([[0; BINS]; 4]);
         for (cells, seen) in cells.chunks(self.batch()).zip(seen.chunks_mut(self.batch())) {
             cost += self.passes.query(cells, seen, &mut bins, false);
+        }
+        cost
+    }
+
+    fn query_placed(&mut self, boxes: &[PlacedBox], _: bool, seen: &mut Vec<bool>) -> QueryCost {
+        seen.clear();
+        seen.resize(boxes.len(), false);
+        let mut cost = QueryCost::default();
+        let mut bins = Bins([[0; BINS]; 4]);
+        for (boxes, seen) in boxes.chunks(self.batch()).zip(seen.chunks_mut(self.batch())) {
+            cost += self.passes.query_placed(boxes, seen, &mut bins, false);
         }
         cost
     }

@@ -1,7 +1,7 @@
 //! Which colours are left in the image? The item-buffer technique (Klosowski & Silva 2001, §3.2 and §3.4).
 
 use super::passes::{Colour, Passes, ReadBack};
-use super::{QueryBackEnd, QueryCost};
+use super::{PlacedBox, QueryBackEnd, QueryCost};
 use crate::{Aabb, DepthBuffer, PixelRect, View};
 
 /// Side of a tile in pixels: the paper's 64 tiles of an image of 512 × 512.
@@ -91,6 +91,12 @@ impl QueryBackEnd for ItemBufferQuery {
         seen.clear();
         seen.resize(cells.len(), false);
         self.passes.query(cells, seen, &mut Scan, true)
+    }
+
+    fn query_placed(&mut self, boxes: &[PlacedBox], whole_front: bool, seen: &mut Vec<bool>) -> QueryCost {
+        seen.clear();
+        seen.resize(boxes.len(), false);
+        self.passes.query_placed(boxes, seen, &mut Scan, whole_front)
     }
 
     fn is_full(&self) -> bool {

@@ -4,7 +4,7 @@
 //! drawn. So each pass leaves out the cells that appeared in one before, and the last one shows none. A tile where nothing
 //! appeared is empty in later passes too, since they draw fewer boxes (§3.4).
 
-use super::{QueryCost, no_depth};
+use super::{PlacedBox, QueryCost, no_depth};
 use crate::raster_sampled::{BoxImage, BoxPlace};
 use crate::{Aabb, DepthBuffer, PixelRect, View};
 
@@ -96,7 +96,6 @@ impl<C: Colour> Passes<C> {
         read_back: &mut impl ReadBack<C>,
         whole_front: bool,
     ) -> QueryCost {
-        let mut cost = QueryCost::default();
         let mut touching = false;
         self.asked.clear();
         for (i, cell) in cells.iter().enumerate() {
@@ -106,6 +105,32 @@ impl<C: Colour> Passes<C> {
                 BoxPlace::In(image) => self.asked.push(Asked { cell: i as u32, image, z_tests: 0 }),
             }
         }
+        self.ask(seen, read_back, whole_front, touching)
+    }
+
+    /// The same for boxes whose places are known.
+    pub(super) fn query_placed(
+        &mut self,
+        boxes: &[PlacedBox],
+        seen: &mut [bool],
+        read_back: &mut impl ReadBack<C>,
+        whole_front: bool,
+    ) -> QueryCost {
+        self.asked.clear();
+        let asked = |(cell, placed): (u32, &PlacedBox)| Asked { cell, image: placed.image, z_tests: 0 };
+        self.asked.extend((0..).zip(boxes).map(asked));
+        self.ask(seen, read_back, whole_front, false)
+    }
+
+    /// Draws what is asked until a pass shows nothing new. `touching`: whether something touches the near plane.
+    fn ask(
+        &mut self,
+        seen: &mut [bool],
+        read_back: &mut impl ReadBack<C>,
+        whole_front: bool,
+        touching: bool,
+    ) -> QueryCost {
+        let mut cost = QueryCost::default();
         self.shown.fill(false);
         self.active.iter_mut().zip(&self.finished).for_each(|(active, finished)| *active = !(whole_front && *finished));
         while !self.asked.is_empty() && self.active.contains(&true) {

@@ -1,8 +1,8 @@
 //! How many fragments of each box pass? The per-fragment histogram that the paper proposed for hardware
 //! (Klosowski & Silva 2001, §3.6).
 
-use super::{QueryBackEnd, QueryCost, no_depth};
-use crate::raster_sampled::BoxPlace;
+use super::{PlacedBox, QueryBackEnd, QueryCost, no_depth};
+use crate::raster_sampled::{BoxImage, BoxPlace};
 use crate::{Aabb, DepthBuffer, View};
 
 /// Draws all boxes with depth test and without depth write, and counts the fragments of each that pass. No box hides
@@ -23,6 +23,28 @@ impl PerFragmentHistogram {
     /// show it or what it contains. [`u32::MAX`] for a box that touches the eye or the near plane.
     pub fn counts(&self) -> &[u32] {
         &self.counts
+    }
+
+    /// Fragments of a box that pass, of all that are added to `z_tests`.
+    fn fragments(&self, image: &BoxImage, z_tests: &mut usize) -> u32 {
+        let mut pixels = 0;
+        let count: u32 = image
+            .rows()
+            .map(|(y, columns)| {
+                let [first, last] = columns;
+                pixels += last + 1 - first;
+                image.front(y, columns).passing(0, &self.depth.row(y)[first..=last])
+            })
+            .sum();
+        *z_tests += pixels;
+        self.depth.count_query(pixels, count > 0);
+        count
+    }
+
+    fn answer(&self, drawn: usize, z_tests: usize, seen: &mut Vec<bool>) -> QueryCost {
+        seen.clear();
+        seen.extend(self.counts.iter().map(|&count| count > 0));
+        QueryCost { passes: usize::from(drawn > 0), z_tests: z_tests as u64, read_back: drawn as u64 }
     }
 }
 
@@ -46,25 +68,22 @@ impl QueryBackEnd for PerFragmentHistogram {
                 BoxPlace::Touching => u32::MAX,
                 BoxPlace::In(image) => {
                     drawn += 1;
-                    let mut pixels = 0;
-                    let count = image
-                        .rows()
-                        .map(|(y, columns)| {
-                            let [first, last] = columns;
-                            pixels += last + 1 - first;
-                            image.front(y, columns).passing(0, &self.depth.row(y)[first..=last])
-                        })
-                        .sum();
-                    z_tests += pixels;
-                    self.depth.count_query(pixels, count > 0);
-                    count
+                    self.fragments(&image, &mut z_tests)
                 }
             };
             self.counts.push(count);
         }
-        seen.clear();
-        seen.extend(self.counts.iter().map(|&count| count > 0));
-        QueryCost { passes: usize::from(drawn > 0), z_tests: z_tests as u64, read_back: drawn }
+        self.answer(drawn, z_tests, seen)
+    }
+
+    fn query_placed(&mut self, boxes: &[PlacedBox], _: bool, seen: &mut Vec<bool>) -> QueryCost {
+        self.counts.clear();
+        let mut z_tests = 0;
+        for placed in boxes {
+            let count = self.fragments(&placed.image, &mut z_tests);
+            self.counts.push(count);
+        }
+        self.answer(boxes.len(), z_tests, seen)
     }
 
     fn is_full(&self) -> bool {

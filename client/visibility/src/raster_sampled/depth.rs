@@ -38,8 +38,10 @@ pub struct DepthBuffer {
 pub(crate) trait Marks {
     /// A piece of a triangle is drawn, within these columns and rows, first and last. Whether its spans are wanted.
     fn piece(&mut self, x: [i32; 2], y: [i32; 2]) -> bool;
-    /// The columns of a row, first to last.
+    /// The columns of a row, first to last. Rows come from the top down.
     fn span(&mut self, y: i32, first: i32, last: i32);
+    /// Those were all spans of the piece.
+    fn end(&mut self);
 }
 
 impl Marks for () {
@@ -48,6 +50,8 @@ impl Marks for () {
     }
 
     fn span(&mut self, _: i32, _: i32, _: i32) {}
+
+    fn end(&mut self) {}
 }
 
 /// No tile.
@@ -161,6 +165,9 @@ impl DepthBuffer {
                     ramp.draw_depths(0, &mut depths[row + first as usize..=row + last as usize]);
                     z_tests += (last - first + 1) as u64;
                 });
+                if by_span {
+                    marks.end();
+                }
             });
         }
         self.z_tests.set(self.z_tests.get() + z_tests);
@@ -173,6 +180,7 @@ impl DepthBuffer {
             self.projector.pieces(triangle.corners.map(|corner| corner.as_dvec3()), triangle.sides, |piece| {
                 if marks.piece(piece.x, piece.y) {
                     piece.spans([0, last_row], |y, first, last, _| marks.span(y, first, last));
+                    marks.end();
                 }
             });
         }

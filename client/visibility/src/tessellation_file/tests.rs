@@ -58,27 +58,114 @@ fn what_was_written_is_read() {
 }
 
 #[test]
-fn files_cut_short_flipped_or_of_another_scene_are_refused() {
+fn files_cut_short_at_any_length_are_refused_by_name() {
     let scene = rooms();
-    let mut rng = Pcg64::seed_from_u64(71);
     for made in all(&scene) {
         let bytes = made.to_bytes(&scene);
-        for length in (0..bytes.len()).step_by(1 + bytes.len() / 400) {
-            assert!(AnyTessellation::from_bytes(&scene, &bytes[..length]).is_err(), "{length}");
+        for length in 0..bytes.len() {
+            let fault = AnyTessellation::from_bytes(&scene, &bytes[..length]).unwrap_err();
+            let (found, is_cut) = (length as u64, length >= MAGIC.len());
+            let named = match fault {
+                TessellationFault::NotATessellation => !is_cut,
+                TessellationFault::Length { found: told, needed } => is_cut && told == found && needed > found,
+                _ => false,
+            };
+            assert!(named, "{} at {length}: {fault}", made.name());
         }
         let mut longer = bytes.clone();
         longer.push(0);
-        assert!(matches!(AnyTessellation::from_bytes(&scene, &longer), Err(TessellationFault::Length { .. })));
-        for _ in 0..300 {
+        let fault = AnyTessellation::from_bytes(&scene, &longer).unwrap_err();
+        assert_eq!(
+            fault,
+            TessellationFault::Length { found: longer.len() as u64, needed: bytes.len() as u64 },
+            "{}",
+            made.name()
+        );
+    }
+}
+
+#[test]
+fn files_of_which_a_bit_flipped_are_refused_by_name() {
+    let scene = rooms();
+    for made in all(&scene) {
+        let bytes = made.to_bytes(&scene);
+        // Every bit of the header, and one of each of many bytes after it.
+        let header = (0..HEADER_BYTES * 8).map(|bit| (bit / 8, bit % 8));
+        let step = 1 + bytes.len() / 1_000;
+        let after = (HEADER_BYTES..bytes.len()).step_by(step).map(|at| (at, at / step % 8));
+        for (at, bit) in header.chain(after) {
             let mut flipped = bytes.clone();
-            let at = rng.random_range(0..bytes.len());
-            flipped[at] ^= 1 << rng.random_range(0..8);
-            assert!(AnyTessellation::from_bytes(&scene, &flipped).is_err(), "{at}");
+            flipped[at] ^= 1 << bit;
+            let fault = AnyTessellation::from_bytes(&scene, &flipped).unwrap_err();
+            let named = match at {
+                0..8 => fault == TessellationFault::NotATessellation,
+                8..12 => matches!(fault, TessellationFault::Version { found } if found != VERSION),
+                32..40 => matches!(fault, TessellationFault::Length { .. }),
+                // The kind, the scene's hash and all that follows are what the sum is of.
+                _ => fault == TessellationFault::CheckSum,
+            };
+            assert!(named, "{} at {at}: {fault}", made.name());
         }
-        let mut moved = scene.triangles().to_vec();
-        moved[3].corners[1].x += 1e-3;
-        let other = AnyTessellation::from_bytes(&Scene::from_triangles(moved), &bytes);
-        assert!(matches!(other, Err(TessellationFault::OtherScene { .. })));
+    }
+}
+
+#[test]
+fn files_of_another_scene_are_refused_by_name() {
+    let scene = rooms();
+    let mut others: Vec<Scene> = poor_scenes();
+    let mut moved = scene.triangles().to_vec();
+    moved[3].corners[1].x += 1e-3;
+    others.push(Scene::from_triangles(moved));
+    let mut fewer = scene.triangles().to_vec();
+    fewer.pop();
+    others.push(Scene::from_triangles(fewer));
+    let mut seen_through = scene.triangles().to_vec();
+    seen_through[0].occludes = false;
+    others.push(Scene::from_triangles(seen_through));
+    for made in all(&scene) {
+        let bytes = made.to_bytes(&scene);
+        for other in &others {
+            let fault = AnyTessellation::from_bytes(other, &bytes).unwrap_err();
+            let (made_for, scene) = (scene_hash(&scene), scene_hash(other));
+            assert_eq!(fault, TessellationFault::OtherScene { made_for, scene });
+        }
+    }
+}
+
+/// The same bytes with a header that fits them: length and check sum.
+fn with_true_header(mut bytes: Vec<u8>) -> Vec<u8> {
+    let body = (bytes.len() - HEADER_BYTES) as u64;
+    bytes[HEADER_BYTES - 8..HEADER_BYTES].copy_from_slice(&body.to_le_bytes());
+    let sum = crc32fast::hash(&bytes).to_le_bytes();
+    bytes.extend(sum);
+    bytes
+}
+
+#[test]
+fn bodies_cut_short_under_a_true_header_are_refused_and_take_no_room() {
+    let scene = rooms();
+    for made in all(&scene) {
+        let bytes = made.to_bytes(&scene);
+        let body = bytes.len() - HEADER_BYTES - CHECK_SUM_BYTES;
+        let step = 1 + body / 500;
+        for length in (0..body).step_by(step).chain([body - 1]) {
+            let cut = with_true_header(bytes[..HEADER_BYTES + length].to_vec());
+            let fault = AnyTessellation::from_bytes(&scene, &cut).unwrap_err();
+            assert_eq!(fault, TessellationFault::Contradiction, "{} at {length}", made.name());
+        }
+        // Another kind's body.
+        for kind in 0..9_u32 {
+            let mut other = bytes[..HEADER_BYTES + body].to_vec();
+            other[12..16].copy_from_slice(&kind.to_le_bytes());
+            let read = AnyTessellation::from_bytes(&scene, &with_true_header(other));
+            assert_eq!(read.is_ok(), kind == made.kind(), "{} as {kind}", made.name());
+        }
+    }
+    // Lists that claim to be longer than any memory reserve no more than there are bytes.
+    for count in [u64::MAX, u64::MAX / 2, 1 << 40, 3] {
+        let bytes = [&count.to_le_bytes()[..], &[1; 20]].concat();
+        assert_eq!(Reader(&bytes).list(Reader::dvec3), None);
+        assert_eq!(Reader(&bytes).list(Reader::u64), None);
     }
 }
 
