@@ -67,7 +67,7 @@ fn tracker(sealed: bool) -> Tracker {
     tracker
 }
 
-/// One frame; whom it asks about.
+/// One frame; whom it asks about, by id: in what order depends on whether a stage ended or T told.
 fn frame(tracker: &mut Tracker, number: i64, wall: &Wall) -> Vec<u32> {
     let now = LocalTime::from_micros(number * 50_000);
     tracker.frame(at(number), Ahead::default(), wall, now);
@@ -75,7 +75,9 @@ fn frame(tracker: &mut Tracker, number: i64, wall: &Wall) -> Vec<u32> {
         ClientRecord::Request { object, .. } => Some(object.0),
         _ => None,
     });
-    asked.collect()
+    let mut asked: Vec<u32> = asked.collect();
+    asked.sort_unstable();
+    asked
 }
 
 fn wall(hides: bool, parts: Option<&[u32]>, seals: bool) -> Wall {
