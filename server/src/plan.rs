@@ -114,9 +114,7 @@ impl Level {
     /// One more count; whether another number holds from now on.
     fn count(&mut self, counted: usize, now: WorldTime) -> bool {
         let before = self.held;
-        if counted >= self.held {
-            (self.held, self.less_since) = (counted, None);
-        } else if now.since(*self.less_since.get_or_insert(now)) >= LASTS {
+        if counted >= self.held || now.since(*self.less_since.get_or_insert(now)) >= LASTS {
             (self.held, self.less_since) = (counted, None);
         }
         self.held != before
