@@ -97,7 +97,7 @@ pub struct Headless {
     fly: Option<DVec3>,
 
     /// What is left out: as counted (auto), nothing (full), or single stages on or off, as in full,look-again=off. Stages of a
-    /// client without a picture: tracker, look-again, exact
+    /// client without a picture: tracker, look-again, exact, sealed
     #[arg(long, value_name = "auto|full|STAGE=on,…", default_value_t)]
     plan: PlanSwitch,
 
@@ -171,7 +171,8 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
                 Onlooker::flying(&scene, eye, options.side, on_frame)
             }
             None => Onlooker::new(&scene, welcome, options.side, on_frame).context("the server gave us no avatar")?,
-        };
+        }
+        .with_sealed_parts(&scene);
         let end = async {
             match options.seconds {
                 Some(seconds) => tokio::time::sleep(Duration::from_secs_f64(seconds)).await,
@@ -189,7 +190,7 @@ pub fn headless(options: &Headless) -> anyhow::Result<()> {
         let stats = *connection.session.stats();
         let (sent, sent_bytes, received, received_bytes) = connection.udp();
         let skipped = ran.as_ref().map_or(0, |summary| summary.skipped);
-        let frames = connection.session.tracker().map_or(0, |tracker| tracker.stats().frames);
+        let frames = connection.session.tracker_stats().frames;
         let rtt = connection.session.round_trip().map_or("unknown".to_owned(), |(rtt, _)| format!("{rtt:.1?}"));
         print(&format!(
             "{frames} frames, {skipped} skipped; {} messages in, {} out; UDP {received} datagrams and \

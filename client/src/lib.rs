@@ -43,6 +43,8 @@ pub mod clock;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 #[cfg(feature = "net")]
+mod later;
+#[cfg(feature = "net")]
 pub mod net;
 #[cfg(feature = "net")]
 pub mod operate;

@@ -19,7 +19,7 @@ use names::Names;
 use watch::Watch;
 
 use crate::clock::{Clock, DRIFT, Monotonic};
-use crate::tracking::{Ahead, Past, Sabotage, Tracker, TrackerConfig};
+use crate::tracking::{Ahead, Past, Sabotage, Tracker, TrackerConfig, TrackerStats};
 
 /// Settings of a [`Session`].
 #[derive(Clone, Debug)]
@@ -142,6 +142,10 @@ const EVENTS_MAX: usize = 4096;
 /// Most messages that are kept while there is no connection.
 const UNSAID_MAX: usize = 1024;
 
+/// After so many frames in a row in which a tracker knows of nothing it is let go of. Who comes and goes by a door
+/// would else have one made each time.
+const IDLE_FRAMES: u32 = 100;
+
 /// No client is silent for longer.
 const SAY_SOMETHING: Duration = Duration::from_millis(500);
 
@@ -248,12 +252,14 @@ pub struct Session {
     monotonic: Monotonic,
     /// The first of our datagrams that left after the newest jump of our clock: only these tell a round trip.
     probes_from: u32,
-    /// None until there is something to track (DESIGN.md §8), unless the plan is forced.
+    /// None while there is nothing to track (DESIGN.md §8), unless the plan is forced.
     tracker: Option<Tracker>,
-    /// T of the world's size, until there is a tracker to take it.
+    /// T of the world's size, while there is no tracker to take it.
     index: Option<Box<dyn DynamicIndex + Send>>,
-    /// Frames made without a tracker.
+    /// Frames made without a tracker, and what those before it left behind.
     past: Past,
+    /// Frames in a row in which the tracker has known of nothing.
+    idle_frames: u32,
     welcome: Option<Box<Welcome>>,
     /// Whether we come back, and have not been welcomed yet.
     returns: bool,
@@ -300,6 +306,7 @@ impl Session {
             tracker: None,
             index: None,
             past: Past::default(),
+            idle_frames: 0,
             welcome: None,
             returns: false,
             objects_due: 0,
@@ -361,7 +368,7 @@ impl Session {
                 let unsaid = std::mem::take(&mut self.unsaid);
                 self.events.extend(unsaid.into_iter().map(|message| Event::Unsaid(Box::new(message))));
                 (self.heard, self.moving_nodes) = (0, BTreeSet::new());
-                (self.tracker, self.index, self.past) = (None, None, Past::default());
+                (self.tracker, self.index, self.past, self.idle_frames) = (None, None, Past::default(), 0);
                 self.poses = welcome.avatars.iter().map(|&(id, at, turn)| (id, (at, turn))).collect();
                 self.poses_due.clear();
                 self.objects_due = welcome.objects;
@@ -434,12 +441,15 @@ impl Session {
             let index = self.index.take().unwrap_or_else(|| (self.make_index)());
             let mut config = self.config.tracker.clone();
             config.exact &= self.config.plan.runs(Stage::Exact, true);
+            config.sealed &= self.config.plan.runs(Stage::Sealed, true);
+            let past = std::mem::take(&mut self.past);
+            let heard_at = past.heard_at;
             let mut tracker = Tracker::new(config, welcome.tracking, welcome.blur, welcome.classes.clone(), index)
                 .with_dead_reckoning(welcome.dead_reckoning_px)
                 .with_tick(Duration::from_micros(u64::from(welcome.tick_micros)))
                 .with_answer_wait(micros(welcome.answer_micros))
-                .with_past(self.past);
-            if let Some(heard_at) = self.past.heard_at {
+                .with_past(past);
+            if let Some(heard_at) = heard_at {
                 tracker.handle_path(self.link.round_trip_max(), self.link.timeout(), heard_at);
             }
             self.tracker = Some(tracker);
@@ -447,11 +457,25 @@ impl Session {
         self.tracker.as_mut()
     }
 
+    /// Lets go of the tracker: nothing has been there to track for a while. T is kept for its size, empty.
+    fn dismiss_tracker(&mut self) {
+        let Some(tracker) = self.tracker.take() else { return };
+        let (past, mut index) = tracker.into_past();
+        index.shrink();
+        (self.past, self.index, self.idle_frames) = (past, Some(index), 0);
+    }
+
     /// Whether anything is tracked, so that somebody must find out what hides it. While nothing is, a frame may be made with
     /// [`Session::frame_alone`].
     pub fn tracks(&self) -> bool {
         let is_forced = self.config.plan.asked(Stage::Tracker) == Some(true);
         self.tracker.as_ref().is_some_and(|tracker| is_forced || !tracker.is_empty())
+    }
+
+    /// Whether something is held hidden that walls might seal off for good, so that it pays to find out which parts of
+    /// the scene they close ([`eyeline_visibility::SealedParts`]).
+    pub fn could_seal(&self) -> bool {
+        self.tracker.as_ref().is_some_and(Tracker::could_be_sealed)
     }
 
     /// Whether this client looks at anything at all; one that only moves avatars does not.
@@ -684,11 +708,15 @@ impl Session {
             return Some(FrameTime { latest, shown });
         };
         tracker.frame(latest, ahead, occlusion, now);
+        self.idle_frames = if tracker.is_idle() { self.idle_frames + 1 } else { 0 };
         if self.config.watch {
             let tick = self.welcome.as_ref().map_or(0, |welcome| welcome.tick_micros);
             let excess = self.events.len().saturating_sub(EVENTS_MAX);
             self.events.drain(..excess);
             self.watch.frame(tracker, Duration::from_micros(u64::from(tick)), &mut self.events);
+        }
+        if self.idle_frames >= IDLE_FRAMES && self.config.plan.asked(Stage::Tracker) != Some(true) {
+            self.dismiss_tracker();
         }
         Some(FrameTime { latest, shown })
     }
@@ -808,9 +836,14 @@ impl Session {
         }
     }
 
-    /// Beliefs, once there is something to believe anything of.
+    /// Beliefs, while there is something to believe anything of.
     pub fn tracker(&self) -> Option<&Tracker> {
         self.tracker.as_ref()
+    }
+
+    /// What trackers counted since the welcome, those that have been let go of too.
+    pub fn tracker_stats(&self) -> TrackerStats {
+        self.tracker.as_ref().map_or(self.past.stats, |tracker| *tracker.stats())
     }
 
     /// What an object is, if names are kept ([`SessionConfig::names`]) and it is in the roster.

@@ -72,7 +72,7 @@ pub use message::{
 };
 pub use motion::{Extent, MotionBound};
 pub use people::{ClientEntry, Command, Continuity, Hold, PAYLOAD_BYTES_MAX, Rank, Resume, TEXT_BYTES_MAX};
-pub use plan::{Plan, PlanLine, PlanSwitch, PlanSwitchError, Stage};
+pub use plan::{Plan, PlanLine, PlanSwitch, PlanSwitchError, Stage, how_many};
 pub use position::{METRES_MAX, Orientation, OutOfRange, Position, QUANTUM_METRES};
 pub use tbv::Tbv;
 pub use time::{LocalTime, WorldTime};

@@ -21,9 +21,11 @@ pub enum Stage {
     LookAgain,
     /// A still eye's bounds are held to the exact moment at which they come into view; what never does is never looked at.
     Exact,
+    /// What walls seal off from wherever the eye can go is left alone.
+    Sealed,
     /// Bounds that come from preset paths and from rest.
     Swept,
-    /// What serves that clients share bounds.
+    /// An index over all that moves, filled at each tick, that all who look share.
     Sharing,
     /// States of what moves.
     States,
@@ -31,13 +33,14 @@ pub enum Stage {
 
 impl Stage {
     /// All of them, in the order of plans.
-    pub const ALL: [Stage; 9] = [
+    pub const ALL: [Stage; 10] = [
         Stage::Frustum,
         Stage::Occlusion,
         Stage::Prisms,
         Stage::Tracker,
         Stage::LookAgain,
         Stage::Exact,
+        Stage::Sealed,
         Stage::Swept,
         Stage::Sharing,
         Stage::States,
@@ -52,16 +55,17 @@ impl Stage {
             Stage::Tracker => "tracker",
             Stage::LookAgain => "look-again",
             Stage::Exact => "exact",
+            Stage::Sealed => "sealed",
             Stage::Swept => "swept",
             Stage::Sharing => "sharing",
             Stage::States => "states",
         }
     }
 
-    /// Whether a person may switch it. What the others do follows from the world: there is nothing to leave out that would
-    /// not be missed.
+    /// Whether a person may switch it. What states are told follows from the world: there is nothing to leave out that
+    /// would not be missed.
     pub const fn can_switch(self) -> bool {
-        !matches!(self, Stage::Sharing | Stage::States)
+        !matches!(self, Stage::States)
     }
 
     const fn bit(self) -> u16 {
@@ -172,9 +176,9 @@ pub struct PlanLine {
     pub runs: bool,
     /// Whether a person asked for that, so that nothing counted decides.
     pub is_forced: bool,
-    /// What was counted.
+    /// What was counted: sentences.
     pub evidence: String,
-    /// What would change it.
+    /// What would change it: sentences, too.
     pub change: String,
 }
 
@@ -239,10 +243,15 @@ impl Plan {
 impl fmt::Display for Plan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for line in &self.lines {
-            writeln!(f, "{:<11}{:<11}{}; until {}", line.stage, line.verdict(), line.evidence, line.change)?;
+            writeln!(f, "{:<11}{:<11}{} {}", line.stage, line.verdict(), line.evidence, line.change)?;
         }
         Ok(())
     }
+}
+
+/// So many of something, for people: `1 object`, `2 objects`. `one` takes an s for more.
+pub fn how_many(count: usize, one: &str) -> String {
+    format!("{count} {one}{}", if count == 1 { "" } else { "s" })
 }
 
 #[cfg(test)]
@@ -269,7 +278,7 @@ mod tests {
     #[test]
     fn what_is_forced_is_not_counted() {
         let line = |text: &str, counted| {
-            PlanLine::new(text.parse().unwrap(), Stage::Tracker, counted, "0 objects move", "somebody comes")
+            PlanLine::new(text.parse().unwrap(), Stage::Tracker, counted, "Nothing moves.", "It starts with who comes.")
         };
         assert_eq!(line("auto", false).verdict(), "left out");
         assert_eq!(line("tracker=on", false).verdict(), "forced on");
@@ -277,6 +286,7 @@ mod tests {
         let plan = Plan { lines: vec![line("auto", false)] };
         assert!(!plan.runs(Stage::Tracker) && plan.runs(Stage::Frustum));
         assert_eq!(plan.short(), "runs nothing; leaves out tracker");
-        assert_eq!(plan.to_string(), "tracker    left out   0 objects move; until somebody comes\n");
+        assert_eq!(plan.to_string(), "tracker    left out   Nothing moves. It starts with who comes.\n");
+        assert_eq!((how_many(1, "object"), how_many(0, "object")), ("1 object".into(), "0 objects".into()));
     }
 }

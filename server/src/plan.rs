@@ -1,49 +1,85 @@
-//! What does a server leave out, and why? The server's lines of a plan (DESIGN.md §8).
+//! What does a server leave out, and why? The server's lines of a plan (DESIGN.md §8), revised while it runs.
 //!
-//! Most of it follows by itself: a state is told only of what moves and is seen, a swept volume is made only of what has a
-//! path or stands. The lines say so with what was counted. What serves that clients share bounds is two sets of bits an
-//! object: for a single client they are a word each, and no message is made for sharing alone, so nothing is left out there.
+//! Two things are really left out. While there is nothing to see besides one's own avatar nobody is looked at for
+//! states that are due. And the index of policies that have one is not filled while fewer than [`SHARED_BY`] look: who
+//! looks alone has every object looked at instead, and is told the same. What is about bounds follows by itself, since
+//! a swept volume is made only of what has a path or stands.
+//!
+//! Where more is counted than before, the plan follows at once: somebody may wait for it. Where it is less, only after
+//! [`LASTS`], so that who comes and goes turns nothing to and fro.
 
-use eyeline_protocol::{Plan, PlanLine, PlanSwitch, Stage};
+use std::time::Duration;
+
+use eyeline_protocol::{Plan, PlanLine, PlanSwitch, Stage, WorldTime, how_many};
 
 use crate::world::World;
 
-/// The plan of a world as it is now.
+/// With so many watchers an index is filled for all of them.
+pub const SHARED_BY: usize = 2;
+
+/// For how long there must be less of something before the plan does without what it was for.
+pub const LASTS: Duration = Duration::from_secs(5);
+
+/// Objects are looked at for what moves them once in this time: each of them, which is a share of a tick's own work.
+const RECOUNT: Duration = Duration::from_secs(1);
+
+/// The plan of a world: what is done now, and what is counted now.
 pub fn plan(world: &World) -> Plan {
-    let census = world.plan_counts();
-    let auto = PlanSwitch::AUTO;
-    let PlanCounts { objects, on_paths, at_rest, avatars, clients, sharing_bytes, states } = census;
-    let bounded = on_paths + at_rest;
-    let swept = match world.sweeps() {
-        true => auto,
-        false => auto.with(Stage::Swept, false),
+    Plan { lines: lines(world, &Stage::ALL) }
+}
+
+/// The lines about these stages, of those that are a server's.
+pub(crate) fn lines(world: &World, stages: &[Stage]) -> Vec<PlanLine> {
+    let counts = world.plan_counts();
+    let (switch, running) = (world.plan_switch(), world.running());
+    let PlanCounts { objects, on_paths, at_rest, avatars, clients, watching, sharing_bytes, states } = counts;
+    let swept = if world.sweeps() { switch } else { switch.with(Stage::Swept, false) };
+    let sharing = match world.index_of() {
+        (policy, true) => {
+            let watchers = how_many(watching, "watcher");
+            format!("The policy {policy} has an index over all that is in the world, which is there for {watchers}.")
+        }
+        (policy, false) => format!(
+            "The policy {policy} has no index to share; who may hold which bound takes {}.",
+            how_many(sharing_bytes, "byte")
+        ),
     };
-    let others = (objects + avatars).saturating_sub(usize::from(clients <= 1 && avatars <= 1) * avatars);
-    Plan {
-        lines: vec![
-            PlanLine::new(
-                swept,
-                Stage::Swept,
-                bounded > 0,
-                format!("{on_paths} objects follow a preset path, {at_rest} are moved by nobody"),
-                "an object gets a path, or is let stand",
+    let lines = [
+        PlanLine::new(
+            swept,
+            Stage::Swept,
+            running.bounds(),
+            format!("A preset path moves {on_paths} of {}, and nobody moves {at_rest}.", how_many(objects, "object")),
+            "It runs while there is one of either.",
+        ),
+        PlanLine::new(
+            running.at_least(switch, Stage::States),
+            Stage::States,
+            running.tells(),
+            format!(
+                "The world has {} and {} for {} to hear of, and {} been told so far.",
+                how_many(objects, "object"),
+                how_many(avatars, "avatar"),
+                how_many(clients, "client"),
+                if states == 1 { "1 state has".to_owned() } else { format!("{states} states have") },
             ),
-            PlanLine::new(
-                auto,
-                Stage::States,
-                others > 0,
-                format!("{objects} objects and {avatars} avatars, {clients} clients; {states} states told so far"),
-                "there is something to see besides one's own avatar",
+            format!(
+                "It runs while there is something besides one's own avatar, and stops {} s after.",
+                LASTS.as_secs()
             ),
-            PlanLine::new(
-                auto,
-                Stage::Sharing,
-                objects + avatars > 0,
-                format!("{clients} clients: who holds what takes {sharing_bytes} bytes, and no message"),
-                "there is nothing to hold a bound of",
+        ),
+        PlanLine::new(
+            switch,
+            Stage::Sharing,
+            running.shares() && world.index_of().1,
+            sharing,
+            format!(
+                "It runs while {SHARED_BY} or more look under grid, radius or pvs, and stops {} s after.",
+                LASTS.as_secs()
             ),
-        ],
-    }
+        ),
+    ];
+    lines.into_iter().filter(|line| stages.contains(&line.stage)).collect()
 }
 
 /// What is counted for it.
@@ -59,63 +95,105 @@ pub struct PlanCounts {
     pub avatars: usize,
     /// Connections.
     pub clients: usize,
+    /// Of these, those that were let in and look at the world.
+    pub watching: usize,
     /// Bytes of the sets that say who may hold a bound.
     pub sharing_bytes: usize,
     /// States told since the start.
     pub states: u64,
 }
 
-#[cfg(test)]
-mod tests {
-    use std::time::Duration;
+/// Something counted that is believed at once where it is more than before, and only after a while where it is less.
+#[derive(Clone, Copy, Debug, Default)]
+struct Level {
+    held: usize,
+    less_since: Option<WorldTime>,
+}
 
-    use eyeline_protocol::codec::encode_control;
-    use eyeline_protocol::{ClientControl, Interest, Role, VERSION, WorldInfo, WorldTime};
-    use glam::DVec3;
-
-    use super::*;
-    use crate::policy::Visible;
-    use crate::spec::WorldSpec;
-    use crate::world::{Transmit, WorldConfig};
-
-    fn world() -> World {
-        let info = WorldInfo { name: "still".into(), hash: [0; 32], size_bytes: 0, two_sided: false };
-        let config = WorldConfig::default();
-        World::new(config, WorldSpec::default(), info, DVec3::ZERO, Box::new(Visible), WorldTime::ZERO).unwrap()
-    }
-
-    #[test]
-    fn a_world_in_which_nothing_moves_tells_no_states_and_says_so() {
-        let mut world = world();
-        let verdicts = |world: &World| plan(world).lines.iter().map(PlanLine::verdict).collect::<Vec<_>>();
-        assert_eq!(verdicts(&world), ["left out", "left out", "left out"]);
-        let join = |world: &mut World| {
-            let id = world.connect(world.committed_at());
-            let hello = ClientControl::Hello {
-                version: VERSION,
-                token: Vec::new(),
-                resolution: (320, 240),
-                interest: Interest::Around,
-                role: Role::Avatar,
-                name: String::new(),
-                resume: None,
-            };
-            world.handle_control(id, &encode_control(&hello)[4..], world.committed_at());
-        };
-        join(&mut world);
-        let mut datagrams = 0;
-        for _ in 0..100 {
-            let now = world.committed_at() + Duration::from_millis(50);
-            world.tick(now);
-            while let Some((_, transmit)) = world.poll_transmit(now) {
-                datagrams += usize::from(matches!(transmit, Transmit::Datagram(_)));
-            }
+impl Level {
+    /// One more count; whether another number holds from now on.
+    fn count(&mut self, counted: usize, now: WorldTime) -> bool {
+        let before = self.held;
+        if counted >= self.held || now.since(*self.less_since.get_or_insert(now)) >= LASTS {
+            (self.held, self.less_since) = (counted, None);
         }
-        assert_eq!(datagrams, 0);
-        assert_eq!(world.stats().out.pushed() + world.stats().out.hidden_caused(), 0);
-        assert!(!plan(&world).runs(Stage::States), "{}", plan(&world));
-        // Somebody else is something to see.
-        join(&mut world);
-        assert!(plan(&world).runs(Stage::States) && plan(&world).runs(Stage::Sharing), "{}", plan(&world));
+        self.held != before
     }
 }
+
+/// What a world does now, by what was counted while it ran.
+#[derive(Debug, Default)]
+pub(crate) struct Running {
+    /// How many look, as far as that matters: up to [`SHARED_BY`].
+    watchers: Level,
+    /// Whether there is something to see besides one's own avatar.
+    others: Level,
+    /// Whether there are objects on preset paths, and objects that nobody moves.
+    on_paths: Level,
+    at_rest: Level,
+    recounted_at: Option<WorldTime>,
+    /// Stages whose lines are others than at the last look.
+    revised: Vec<Stage>,
+}
+
+impl Running {
+    /// Whether objects are to be counted again.
+    pub fn is_recount_due(&self, now: WorldTime) -> bool {
+        self.recounted_at.is_none_or(|at| now.since(at) >= RECOUNT)
+    }
+
+    /// Counts what moves objects.
+    pub fn recount(&mut self, counts: &PlanCounts, now: WorldTime) {
+        self.recounted_at = Some(now);
+        // Both, always.
+        let paths = self.on_paths.count(counts.on_paths.min(1), now);
+        if self.at_rest.count(counts.at_rest.min(1), now) || paths {
+            self.revise(Stage::Swept);
+        }
+    }
+
+    /// Counts who looks, and whether there is something to see for any of them.
+    pub fn count(&mut self, watching: usize, has_others: bool, now: WorldTime) {
+        let watchers = self.watchers.count(watching.min(SHARED_BY), now);
+        if self.others.count(usize::from(has_others), now) || watchers {
+            self.revise(Stage::States);
+        }
+        if watchers {
+            self.revise(Stage::Sharing);
+        }
+    }
+
+    fn revise(&mut self, stage: Stage) {
+        if !self.revised.contains(&stage) {
+            self.revised.push(stage);
+        }
+    }
+
+    /// Stages whose lines have changed since the last call.
+    pub fn take_revised(&mut self) -> Vec<Stage> {
+        std::mem::take(&mut self.revised)
+    }
+
+    /// Whether there may be anything to tell anybody.
+    pub fn tells(&self) -> bool {
+        self.others.held > 0
+    }
+
+    /// Whether several look.
+    pub fn shares(&self) -> bool {
+        self.watchers.held >= SHARED_BY
+    }
+
+    /// Whether paths or rest make bounds.
+    pub fn bounds(&self) -> bool {
+        self.on_paths.held + self.at_rest.held > 0
+    }
+
+    /// The switch, without what must not be left out.
+    pub fn at_least(&self, switch: PlanSwitch, stage: Stage) -> PlanSwitch {
+        if switch.asked(stage) == Some(false) { PlanSwitch::AUTO } else { switch }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -148,6 +148,11 @@ impl Person {
         Some(Pose { object: self.object, position, orientation: Orientation::from_yaw(self.pose.yaw) })
     }
 
+    /// Bytes that its images take.
+    pub fn memory_bytes(&self) -> usize {
+        self.scratches.iter().map(AllRoundScratch::memory_bytes).sum()
+    }
+
     /// Where the person is and looks, in the model's space.
     pub fn pose(&self) -> WalkerPose {
         self.pose
@@ -170,6 +175,16 @@ impl Occlusion for Person {
             ([one], None) => one.occlusion().version(),
             _ => None,
         }
+    }
+
+    fn parts(&self) -> Option<&[u32]> {
+        // Nine eyes may be in nine parts.
+        let [one] = &self.scratches[..] else { return None };
+        one.occlusion().parts()
+    }
+
+    fn seals_off(&self, bound: &Bound) -> bool {
+        self.scratches.iter().all(|scratch| scratch.occlusion().seals_off(bound))
     }
 }
 

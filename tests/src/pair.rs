@@ -313,7 +313,7 @@ impl Pair {
 
     /// The client's counters.
     pub fn stats(&self) -> TrackerStats {
-        *self.session().tracker().expect("the client is in").stats()
+        self.session().tracker_stats()
     }
 
     /// Where the client draws `object`, if it does.

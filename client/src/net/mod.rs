@@ -6,6 +6,7 @@
 mod again;
 mod headless;
 mod onlooker;
+pub(crate) mod parts;
 mod pin;
 mod scene;
 mod trust;

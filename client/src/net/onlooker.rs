@@ -7,6 +7,7 @@ use eyeline_protocol::{LocalTime, ObjectId, Orientation, Position, Stage, Welcom
 use eyeline_visibility::{AllRound, AllRoundScratch, EyeRegion, Occlusion, Scene};
 use glam::DVec3;
 
+use super::parts::PartsLater;
 use super::{Driver, FrameReport, Pose};
 use crate::session::Session;
 use crate::tracking::Ahead;
@@ -29,6 +30,8 @@ pub struct Onlooker<'a> {
     is_culled: bool,
     /// Whether an eye that stands still is culled for again.
     looks_again: bool,
+    /// Which parts of the scene walls seal off, if that is to be found out.
+    parts: Option<PartsLater>,
     on_frame: OnFrame<'a>,
 }
 
@@ -58,13 +61,33 @@ impl<'a> Onlooker<'a> {
     ) -> Onlooker<'a> {
         let all_round = Arc::new(AllRound::new(scene));
         let scratch = all_round.scratch(side);
-        Onlooker { object, position, eye, yaw: 0.0, scratch, all_round, is_culled: false, looks_again: false, on_frame }
+        Onlooker {
+            object,
+            position,
+            eye,
+            yaw: 0.0,
+            scratch,
+            all_round,
+            is_culled: false,
+            looks_again: false,
+            parts: None,
+            on_frame,
+        }
+    }
+
+    /// The same, and finds out which parts of `scene` walls seal off, by another thread, once something may lie in one:
+    /// that is left alone then. The scene must be the same.
+    pub fn with_sealed_parts(self, scene: &Arc<Scene>) -> Onlooker<'a> {
+        Onlooker { parts: Some(PartsLater::new(Arc::clone(scene))), ..self }
     }
 }
 
 impl Driver for Onlooker<'_> {
     fn poses(&mut self, session: &Session, now: LocalTime) -> Vec<Pose> {
         self.looks_again = session.plan_switch().runs(Stage::LookAgain, false);
+        if let Some(parts) = self.parts.as_mut().and_then(|later| later.poll(session)) {
+            self.all_round = Arc::new(self.all_round.with_parts(parts));
+        }
         self.yaw = (now.seconds_since(LocalTime::ZERO) * TURN_RATE).rem_euclid(TAU);
         let orientation = Orientation::from_yaw(self.yaw);
         self.object.map(|object| Pose { object, position: self.position, orientation }).into_iter().collect()

@@ -76,6 +76,10 @@ pub struct TrackerConfig {
     /// Whether an eye that stands still finds the exact moment until which a bound is hidden, by doubling and bisection
     /// (§3.4), instead of looking again at the end of each stage; default true. Says nothing else and nothing earlier.
     pub exact: bool,
+    /// Whether a bound that does not grow, and that walls seal off from wherever the eye can go, is in neither T nor
+    /// any stage until the eye leaves its part of the scene; default true. Where the occlusion knows of no parts it
+    /// makes no difference.
+    pub sealed: bool,
     /// Deliberate damage; default none.
     pub sabotage: Option<Sabotage>,
 }
@@ -90,6 +94,7 @@ impl Default for TrackerConfig {
             staged: true,
             lead: Lead::None,
             exact: true,
+            sealed: true,
             sabotage: None,
         }
     }
@@ -124,6 +129,11 @@ impl TrackerConfig {
     /// Sets whether a still eye finds exact moments.
     pub fn with_exact(self, exact: bool) -> TrackerConfig {
         TrackerConfig { exact, ..self }
+    }
+
+    /// Sets whether what is sealed off is left alone.
+    pub fn with_sealed(self, sealed: bool) -> TrackerConfig {
+        TrackerConfig { sealed, ..self }
     }
 
     /// Damages the tracker.

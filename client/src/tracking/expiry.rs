@@ -133,6 +133,13 @@ impl<K: Copy + Eq + Hash> ExpiryQueue<K> {
         self.places.get(&key).map(|&slot| self.slots[slot as usize].due)
     }
 
+    /// Bytes that it takes, by the capacity of its lists; an estimate where a map does not tell.
+    pub fn memory_bytes(&self) -> usize {
+        self.slots.capacity() * size_of::<Slot<K>>()
+            + self.places.capacity() * (size_of::<(K, u32)>() + 1)
+            + self.buckets.len() * size_of::<(WorldTime, Bucket)>() * 3 / 2
+    }
+
     /// How many keys are in.
     pub fn len(&self) -> usize {
         self.places.len()

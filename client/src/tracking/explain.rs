@@ -13,6 +13,8 @@ pub enum Decision {
         /// Length of the stage.
         frames: u32,
     },
+    /// Walls seal its bound off from wherever the eye can go without leaving its part of the scene.
+    SealedOff,
     /// Its bound is hidden now, but may not be in the next frame.
     HiddenForNow,
     /// It was asked about.
@@ -35,6 +37,7 @@ impl std::fmt::Display for Decision {
         match self {
             Decision::Named => f.write_str("named by the roster"),
             Decision::Hidden { frames } => write!(f, "its bound is hidden to the end of a stage of {frames} frames"),
+            Decision::SealedOff => f.write_str("walls seal its bound off from wherever the eye can go"),
             Decision::HiddenForNow => f.write_str("its bound is hidden now, but may not be in the next frame"),
             Decision::Asked { want, reason } => {
                 let want = match want {

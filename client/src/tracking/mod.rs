@@ -21,6 +21,9 @@ mod stats;
 mod tracker;
 mod validity;
 
+#[cfg(test)]
+mod sealed_tests;
+
 pub use config::{Growth, Sabotage, TrackerConfig};
 pub use expiry::ExpiryQueue;
 pub use explain::{BeliefKind, Decision, Explanation};

@@ -9,6 +9,8 @@ pub struct TrackerStats {
     pub still_frames: u64,
     /// Bounds that were tested against an occlusion, and nodes of T visited.
     pub work: u64,
+    /// Bounds found sealed off from wherever the eye can go, and left alone.
+    pub sealed: u64,
     /// Bounds that became visible and cost a request.
     pub exposed: u64,
     /// Stages that ended hidden: growth that cost no message.

@@ -90,7 +90,7 @@ struct Entry {
 
 /// What was heard last of an object's breaking its bounds.
 #[derive(Clone, Copy, Debug)]
-struct Violated {
+pub(crate) struct Violated {
     issue: Issue,
     at: WorldTime,
     present: bool,
@@ -121,6 +121,10 @@ pub struct Tracker {
     queue: ExpiryQueue<ObjectId>,
     /// V.
     visible: BTreeSet<ObjectId>,
+    /// Objects that are held hidden, in Q until they expire, and not in T: walls seal them off from all `parts`.
+    sealed: BTreeSet<ObjectId>,
+    /// The parts of the scene that the eyes can see into at all, as of the newest frame. None if that is not known.
+    parts: Option<Vec<u32>>,
     /// Objects that an answer is awaited for.
     asked: BTreeSet<ObjectId>,
     /// Questions asked so far.
@@ -177,6 +181,8 @@ impl Tracker {
             index,
             queue: ExpiryQueue::new(Duration::ZERO),
             visible: BTreeSet::new(),
+            sealed: BTreeSet::new(),
+            parts: None,
             asked: BTreeSet::new(),
             asks: 0,
             violations: BTreeMap::new(),
@@ -206,10 +212,21 @@ impl Tracker {
     }
 
     /// Goes on from frames that were made without it.
-    pub(crate) fn with_past(mut self, past: Past) -> Tracker {
-        self.stats.frames = past.frames;
-        (self.latest, self.horizon, self.ahead) = (past.latest, past.horizon, past.ahead);
-        self
+    pub(crate) fn with_past(self, past: Past) -> Tracker {
+        let Past { latest, horizon, ahead, heard_at, asks, violations, stats } = past;
+        Tracker { latest, horizon, ahead, heard_at, asks, violations, stats, ..self }
+    }
+
+    /// Whether nothing is left that it knows of or has to say, so that one that is made later can take its place.
+    pub(crate) fn is_idle(&self) -> bool {
+        self.is_empty() && self.out.is_empty() && self.unsaid.is_empty() && self.queue.is_empty()
+    }
+
+    /// What one that is made later must know, and T, which is empty.
+    pub(crate) fn into_past(self) -> (Past, Box<dyn DynamicIndex + Send>) {
+        debug_assert!(self.is_idle() && self.index.is_empty(), "what it knows of would be forgotten");
+        let Tracker { latest, horizon, ahead, heard_at, asks, violations, stats, index, .. } = self;
+        (Past { latest, horizon, ahead, heard_at, asks, violations, stats }, index)
     }
 
     /// How many of the objects that are held hidden can never come into view of the present eye while it stands still: what
@@ -217,6 +234,38 @@ impl Tracker {
     pub fn never_seen(&self) -> usize {
         let never = Decision::Hidden { frames: EXACT_FRAMES_MAX };
         self.entries.values().filter(|entry| entry.due.is_some() && entry.decision.0 == never).count()
+    }
+
+    /// How many of the objects that are held hidden walls seal off from wherever the eye can go without leaving its
+    /// part of the scene.
+    pub fn sealed_off(&self) -> usize {
+        self.sealed.len()
+    }
+
+    /// Whether something is held hidden by a bound that does not grow: what walls might seal off for good.
+    pub fn could_be_sealed(&self) -> bool {
+        self.config.sealed
+            && self.entries.values().any(|entry| matches!(entry.belief, Belief::Hidden(tbv) if tbv.speed == 0.0))
+    }
+
+    /// Bytes that D, T, Q, V and what waits to be said take, by their capacity; an estimate where a map does not tell.
+    pub fn memory_bytes(&self) -> usize {
+        fn list<T>(capacity: usize) -> usize {
+            capacity * size_of::<T>()
+        }
+        // Ordered maps and sets keep their entries in blocks that are two thirds full on average.
+        let in_order = (self.visible.len() + self.asked.len() + self.sealed.len()) * size_of::<ObjectId>()
+            + self.violations.len() * size_of::<(ObjectId, Violated)>()
+            + self.early.len() * size_of::<(ObjectId, State)>();
+        size_of::<Tracker>()
+            + list::<(ObjectId, Entry)>(self.entries.capacity())
+            + self.entries.capacity()
+            + self.index.memory_bytes()
+            + self.queue.memory_bytes()
+            + in_order * 3 / 2
+            + list::<ClientRecord>(self.out.capacity())
+            + list::<ObjectId>(self.unsaid.capacity() + self.expired.capacity())
+            + list::<u32>(self.exposed.capacity())
     }
 
     /// Whether it knows of no object.
@@ -540,6 +589,7 @@ impl Tracker {
         let version = occlusion.version();
         self.is_still = version.is_some() && version == self.version;
         self.version = version;
+        self.look_at_parts(occlusion);
         self.stats.still_frames += u64::from(self.is_still);
         self.is_cut_off = self.heard_at.is_some_and(|at| now.since(at) > STALENESS_MAX);
         self.ask_again(now);
@@ -575,6 +625,19 @@ impl Tracker {
         // Step 4: what of V can't be seen any more.
         self.let_go(occlusion, now);
         self.debug_check();
+    }
+
+    /// Once the eyes see into other parts of the scene, what was sealed off from them is looked at again.
+    fn look_at_parts(&mut self, occlusion: &dyn Occlusion) {
+        if occlusion.parts() == self.parts.as_deref() {
+            return;
+        }
+        self.parts = occlusion.parts().map(<[u32]>::to_vec);
+        for object in std::mem::take(&mut self.sealed) {
+            if let Some(Belief::Hidden(tbv)) = self.entries.get(&object).map(|entry| entry.belief) {
+                self.hold(object, tbv);
+            }
+        }
     }
 
     /// Takes out of Q what is due by `due`. In the order of ids, on which the order of questions depends: what falls together
@@ -707,6 +770,7 @@ impl Tracker {
     /// even as it is now, or has expired.
     fn settle(&mut self, object: ObjectId, occlusion: &dyn Occlusion) {
         // It stays in T and Q until it moves there, or is asked for: T then moves it under the least common ancestor only.
+        self.sealed.remove(&object);
         let Some(entry) = self.entries.get_mut(&object) else { return };
         let tbv = match entry.belief {
             Belief::Hidden(tbv) if entry.ask.is_none() => tbv,
@@ -744,6 +808,19 @@ impl Tracker {
             }
             self.stats.work += tested;
             return self.expose(object, tbv);
+        }
+        // The parts that were asked about must be those that the next frame is held against.
+        let knows_parts =
+            self.config.sealed && occlusion.parts().is_some_and(|parts| self.parts.as_deref() == Some(parts));
+        if knows_parts && tbv.speed == 0.0 && occlusion.seals_off(&bound_at(horizon)) {
+            entry.decision = (Decision::SealedOff, self.latest);
+            entry.due = Some(fixed_expiry);
+            self.stats.work += 1;
+            self.stats.sealed += 1;
+            self.index.remove(object.0);
+            self.queue.insert(object, fixed_expiry);
+            self.sealed.insert(object);
+            return;
         }
         if !hidden(bound_at(horizon)) {
             self.stats.work += tested;
@@ -826,7 +903,8 @@ impl Tracker {
     /// Whether to ask for a bound first of an object that has been found hidden before: the lead may have time for both
     /// round trips, too. For who has just come there was no lead.
     fn is_staged_for(&self, entry: &Entry) -> bool {
-        let was_hidden = matches!(entry.decision.0, Decision::Hidden { .. } | Decision::HiddenForNow);
+        let was_hidden =
+            matches!(entry.decision.0, Decision::Hidden { .. } | Decision::HiddenForNow | Decision::SealedOff);
         let fits = |round_trip: Duration| (round_trip + self.answer_wait) * 2 + self.config.frame <= self.ahead.time;
         self.is_staged() || self.config.staged && was_hidden && self.round_trip.is_some_and(fits)
     }
@@ -859,6 +937,7 @@ impl Tracker {
 
     fn leave_t_and_q(&mut self, object: ObjectId) {
         self.index.remove(object.0);
+        self.sealed.remove(&object);
         if let Some(entry) = self.entries.get_mut(&object)
             && entry.due.take().is_some()
         {
@@ -978,7 +1057,7 @@ impl Tracker {
 
     /// Number of objects in V, held hidden, and awaiting an answer.
     pub fn counts(&self) -> (usize, usize, usize) {
-        (self.visible.len(), self.index.len(), self.asked.len())
+        (self.visible.len(), self.index.len() + self.sealed.len(), self.asked.len())
     }
 
     /// Counters since the start.
@@ -1009,7 +1088,11 @@ impl Tracker {
             }
         }
         assert_eq!(self.queue.len(), in_queue, "Q holds what no entry does");
-        assert!(self.index.len() <= self.queue.len(), "T holds what Q does not");
+        assert!(
+            self.index.len() + self.sealed.len() <= self.queue.len(),
+            "T holds what Q does not, or what is sealed off"
+        );
+        assert!(self.sealed.iter().all(|object| self.queue.due(*object).is_some()), "sealed off and not in Q");
     }
 }
 

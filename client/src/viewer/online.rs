@@ -14,6 +14,7 @@ use eyeline_visibility::{AllRound, AllRoundScratch, Bound, DynamicOctree, EyeReg
 use glam::{DQuat, DVec3};
 
 use super::model::Model;
+use crate::net::parts::PartsLater;
 use crate::net::{Driver, FrameReport, LocalClock, ModelSource, Pose, ServedModel, run_resuming};
 use crate::session::{Named, Session, SessionConfig};
 use crate::target::Target;
@@ -226,6 +227,7 @@ fn run(options: &OnlineOptions, told: &Told, stopped: tokio::sync::oneshot::Rece
             ahead: Ahead::default(),
             is_culled: false,
             looks_again: options.plan.runs(Stage::LookAgain, false),
+            parts: PartsLater::new(Arc::clone(&model.scene)),
             shared: Arc::clone(&shared),
         };
         if told.send(Ok(Ready { model, welcome, eye, yaw, shared: Arc::clone(&shared) })).is_err() {
@@ -276,11 +278,15 @@ struct Eyes {
     ahead: Ahead,
     is_culled: bool,
     looks_again: bool,
+    parts: PartsLater,
     shared: Arc<Mutex<Shared>>,
 }
 
 impl Driver for Eyes {
-    fn poses(&mut self, _: &Session, _: LocalTime) -> Vec<Pose> {
+    fn poses(&mut self, session: &Session, _: LocalTime) -> Vec<Pose> {
+        if let Some(parts) = self.parts.poll(session) {
+            self.all_round = self.all_round.with_parts(parts);
+        }
         let Wish { eye, yaw, .. } = lock(&self.shared).wish;
         (self.me.eye, self.me.yaw) = (eye, yaw);
         let position = Position::from_metres(eye - DVec3::Y * self.me.eye_height);

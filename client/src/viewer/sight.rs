@@ -8,6 +8,7 @@ use eyeline_visibility::{
     Scratch, View, ZBuffer, count_storeys,
 };
 
+use crate::later::Later;
 use crate::plan;
 
 /// A culler, by its name on the command line.
@@ -42,6 +43,8 @@ enum Way {
     Planned {
         scene: Arc<Scene>,
         switch: PlanSwitch,
+        /// Whether cells are made by another thread, while frames go on.
+        in_background: bool,
         planned: Option<Box<Planned>>,
         turns: u64,
     },
@@ -58,7 +61,7 @@ impl Sight {
         let scene = Arc::clone(scene);
         let culler: Box<dyn Culler + Send + Sync> = match kind {
             CullerKind::Plan => {
-                let way = Way::Planned { scene, switch, planned: None, turns: 0 };
+                let way = Way::Planned { scene, switch, in_background: false, planned: None, turns: 0 };
                 return Sight { way, scratch: Scratch::default(), culled: Culled::default() };
             }
             CullerKind::All => Box::new(ZBuffer::new(scene)),
@@ -70,16 +73,26 @@ impl Sight {
         Sight { way: Way::Fixed(culler), scratch: Scratch::default(), culled: Culled::default() }
     }
 
+    /// The same for who has frames to show: what a plan begins to need is made by another thread, and until it is there
+    /// views are drawn by the frustum, which makes the same picture. What a look finds depends on the clock then.
+    pub fn in_background(mut self) -> Sight {
+        if let Way::Planned { in_background, .. } = &mut self.way {
+            *in_background = true;
+        }
+        self
+    }
+
     /// Culls from a view's eye.
     pub fn look(&mut self, view: &View) -> &Culled {
         let region = EyeRegion::point(view.eye);
         self.culled = match &mut self.way {
             Way::Fixed(culler) => culler.cull(view, region, &mut self.scratch),
-            Way::Planned { scene, switch, planned, turns } => {
+            Way::Planned { scene, switch, in_background, planned, turns } => {
                 let planned = planned.get_or_insert_with(|| {
                     let counts = SceneCounts::around(scene.clone(), view.eye);
                     tell(*switch, &counts, scene);
-                    Box::new(plan::planned(counts, *switch))
+                    let planned = plan::planned(counts, *switch);
+                    Box::new(if *in_background { made_later(planned, *switch) } else { planned })
                 });
                 let culled = planned.look(view, region);
                 if *turns != planned.stats().turns {
@@ -96,6 +109,16 @@ impl Sight {
     pub fn culled(&self) -> &Culled {
         &self.culled
     }
+}
+
+/// Has another thread make the cells once they are needed.
+fn made_later(planned: Planned, switch: PlanSwitch) -> Planned {
+    let make = plan::occlusion_maker(switch);
+    let mut later = None;
+    planned.with_occlusion_when(move |scene| {
+        let scene = Arc::clone(scene);
+        later.get_or_insert_with(|| Later::start(move || make(&scene))).poll()
+    })
 }
 
 /// Says in the log what is left out, a line a stage.

@@ -106,7 +106,7 @@ impl Viewing {
     ) -> Viewing {
         Viewing {
             ground: Ground::new(&model.scene),
-            sight: Sight::with_plan(culler, &model.scene, plan),
+            sight: Sight::with_plan(culler, &model.scene, plan).in_background(),
             inspector: Inspector::new(Arc::clone(&model.scene)),
             may_fly: online.is_none(),
             model,

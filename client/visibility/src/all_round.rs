@@ -8,12 +8,13 @@ use std::sync::Arc;
 use crate::occluders::{Occluders, Polygon};
 use crate::under::{RegionError, UnderOcclusion};
 use crate::under_region::NARROW;
-use crate::{Aabb, Bound, EyeRegion, Scene};
+use crate::{Aabb, Bound, EyeRegion, Scene, SealedParts};
 
 /// A scene's occluders in a tree, ready to be looked at from anywhere. Never changes once made.
 #[derive(Debug)]
 pub struct AllRound {
     occluders: Arc<Occluders>,
+    parts: Option<Arc<SealedParts>>,
 }
 
 /// What one worker needs to cull: the image and a stack. The image keeps the last eye's occlusion.
@@ -52,7 +53,12 @@ impl AllRound {
 
     /// Prepares given occluders.
     pub fn from_occluders(occluders: Arc<Occluders>) -> AllRound {
-        AllRound { occluders }
+        AllRound { occluders, parts: None }
+    }
+
+    /// The same, knowing which parts of its scene walls seal off from each other.
+    pub fn with_parts(&self, parts: Arc<SealedParts>) -> AllRound {
+        AllRound { occluders: Arc::clone(&self.occluders), parts: Some(parts) }
     }
 
     /// The occluders, for an [`UnderOcclusion`] of one's own.
@@ -80,7 +86,8 @@ impl AllRound {
         scratch: &'a mut AllRoundScratch,
     ) -> Result<&'a UnderOcclusion, RegionError> {
         assert!(Arc::ptr_eq(&self.occluders, scratch.occlusion.occluders()), "scratch was made for another scene");
-        if scratch.last == Some(region) {
+        let knows_all = self.parts.is_none() || scratch.occlusion.knows_parts();
+        if scratch.last == Some(region) && knows_all {
             scratch.kept += 1;
             return Ok(&scratch.occlusion);
         }
@@ -95,6 +102,9 @@ impl AllRound {
     ) -> Result<&'a UnderOcclusion, RegionError> {
         assert!(Arc::ptr_eq(&self.occluders, scratch.occlusion.occluders()), "scratch was made for another scene");
         scratch.last = None;
+        if let Some(parts) = self.parts.as_ref().filter(|_| !scratch.occlusion.knows_parts()) {
+            scratch.occlusion.know_parts(parts);
+        }
         scratch.occlusion.start(region)?;
         scratch.stats = AllRoundStats::default();
         self.walk(region, scratch);
@@ -151,6 +161,11 @@ impl AllRound {
 }
 
 impl AllRoundScratch {
+    /// Bytes that the image takes, the occluders apart.
+    pub fn memory_bytes(&self) -> usize {
+        self.occlusion.memory_bytes() + self.stack.capacity() * size_of::<u32>()
+    }
+
     /// What the last cull took.
     pub fn stats(&self) -> AllRoundStats {
         self.stats

@@ -311,6 +311,23 @@ impl DynamicIndex for DynamicOctree {
         self.places.len() + self.unbounded.len()
     }
 
+    fn shrink(&mut self) {
+        if self.is_empty() {
+            let OctreeNode { centre, half, .. } = *self.node(ROOT);
+            (self.nodes, self.free) = (vec![OctreeNode::new(centre, half, ROOT)], Vec::new());
+        }
+    }
+
+    fn memory_bytes(&self) -> usize {
+        // Maps and sets keep their entries in blocks that are two thirds full on average.
+        let in_maps = self.places.len() * size_of::<(u32, Place)>() + self.unbounded.len() * size_of::<u32>();
+        let held: usize = self.nodes.iter().map(|node| node.bounds.capacity()).sum();
+        self.nodes.capacity() * size_of::<OctreeNode>()
+            + held * size_of::<Entry>()
+            + self.free.capacity() * size_of::<u32>()
+            + in_maps * 3 / 2
+    }
+
     fn update_visits(&self) -> u64 {
         self.visits
     }

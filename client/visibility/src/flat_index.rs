@@ -125,6 +125,19 @@ impl DynamicIndex for FlatIndex {
         self.keys.len()
     }
 
+    fn shrink(&mut self) {
+        if self.keys.is_empty() {
+            *self = FlatIndex { updates: self.updates, ..FlatIndex::default() };
+        }
+    }
+
+    fn memory_bytes(&self) -> usize {
+        self.slots.capacity() * (size_of::<(u32, u32)>() + 1)
+            + self.keys.capacity() * size_of::<u32>()
+            + self.bounds.capacity() * size_of::<Bound>()
+            + self.sides.iter().map(|side| side.capacity() * size_of::<f32>()).sum::<usize>()
+    }
+
     fn update_visits(&self) -> u64 {
         self.updates
     }

@@ -20,6 +20,19 @@ pub trait Occlusion {
         None
     }
 
+    /// The parts of the scene that the eyes of the region can see into at all ([`crate::SealedParts`]), ascending; none
+    /// if that is not known. While they stay the same, what [`Occlusion::seals_off`] said goes on to hold, wherever the
+    /// eyes move.
+    fn parts(&self) -> Option<&[u32]> {
+        None
+    }
+
+    /// Whether walls seal a bound off from all these parts. What this is true of is hidden, too.
+    fn seals_off(&self, bound: &Bound) -> bool {
+        let _ = bound;
+        false
+    }
+
     /// Outside of which box everything is hidden, if that is known: what does not touch it need not be asked about.
     fn open(&self) -> Option<Open> {
         None
@@ -51,6 +64,10 @@ pub trait DynamicIndex {
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
+    /// Gives back the memory that it keeps for bounds that have gone, if it is empty.
+    fn shrink(&mut self) {}
+    /// Bytes that it takes, by the capacity of its lists; an estimate where a map does not tell.
+    fn memory_bytes(&self) -> usize;
     /// Nodes that [`DynamicIndex::insert`] and [`DynamicIndex::remove`] have looked at since it was made. Keys in a structure
     /// without nodes count as one each.
     fn update_visits(&self) -> u64;

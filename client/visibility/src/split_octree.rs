@@ -314,6 +314,16 @@ impl DynamicIndex for SplitOctree {
         self.slots.len() + self.unbounded.len()
     }
 
+    fn memory_bytes(&self) -> usize {
+        let held: usize = self.nodes.iter().map(|node| node.held.capacity()).sum();
+        let references: usize = self.entries.iter().map(|entry| entry.references.capacity()).sum();
+        self.nodes.capacity() * size_of::<Node>()
+            + self.entries.capacity() * size_of::<Entry>()
+            + (held + references + self.free_blocks.capacity() + self.free_entries.capacity()) * size_of::<u32>()
+            + self.slots.capacity() * (size_of::<(u32, u32)>() + 1)
+            + self.unbounded.len() * size_of::<u32>() * 3 / 2
+    }
+
     fn update_visits(&self) -> u64 {
         self.visits_before + self.stats.node_visits
     }

@@ -29,7 +29,9 @@ use crate::portals::Portals;
 use crate::under_extent::{Extent, Seen};
 use crate::under_face::{Face, Region};
 use crate::under_region::NARROW;
-use crate::{Aabb, Bound, EyeRegion, Occlusion, SealedFace, Target, Tessellation, View, sheets};
+use crate::{
+    Aabb, Bound, EyeRegion, Occlusion, PartsInSight, SealedFace, SealedParts, Target, Tessellation, View, sheets,
+};
 
 /// Occluders count from this many near distances on, along the image's axis. A camera that is turned by θ against it
 /// still has them beyond its own near plane if cos θ ≥ 1/2: true up to 120° of diagonal angle of view.
@@ -75,6 +77,8 @@ pub struct UnderOcclusion {
     image: Image,
     /// What is seen through doors, where [`crate::RegionCuller`] asked.
     pub(crate) portals: Portals,
+    /// In which parts of the scene the eyes are, where somebody knows of parts.
+    parts: Option<PartsInSight>,
 }
 
 /// All of it but the occluders, so that drawing can borrow those.
@@ -181,7 +185,28 @@ impl UnderOcclusion {
             sights: Vec::new(),
             stats: UnderStats::default(),
         };
-        UnderOcclusion { occluders, image, portals: Portals::default() }
+        UnderOcclusion { occluders, image, portals: Portals::default(), parts: None }
+    }
+
+    /// Knows from the next start on which parts of the scene walls seal off from each other.
+    pub(crate) fn know_parts(&mut self, sealed: &Arc<SealedParts>) {
+        self.parts = Some(PartsInSight::new(Arc::clone(sealed)));
+    }
+
+    /// Whether it knows of parts.
+    pub(crate) fn knows_parts(&self) -> bool {
+        self.parts.is_some()
+    }
+
+    /// Bytes that the image takes, the occluders apart.
+    pub fn memory_bytes(&self) -> usize {
+        let Image { faces, drawn, slots, setups, edges, sights, .. } = &self.image;
+        faces.iter().map(Face::memory_bytes).sum::<usize>()
+            + drawn.capacity() * size_of::<u32>()
+            + slots.capacity() * size_of::<(u32, u32)>()
+            + setups.capacity() * size_of::<Setup>()
+            + edges.capacity() * size_of::<EdgePlane>()
+            + sights.capacity() * size_of::<DVec3>()
     }
 
     /// Forgets what was drawn and looks from every eye of `region`.
@@ -196,6 +221,9 @@ impl UnderOcclusion {
             return Err(RegionError::NotFinite);
         }
         self.portals.forget();
+        if let Some(parts) = &mut self.parts {
+            parts.look(region, self.image.near);
+        }
         let image = &mut self.image;
         image.eye = region.centre;
         image.radius = region.radius * (1.0 + 1e-9);
@@ -509,6 +537,14 @@ impl Occlusion for UnderOcclusion {
     fn version(&self) -> Option<u64> {
         // Within a frame it changes with each polygon that is drawn.
         Some(u64::from(self.image.frame) << 32 | self.image.stats.polygons)
+    }
+
+    fn parts(&self) -> Option<&[u32]> {
+        self.parts.as_ref()?.parts()
+    }
+
+    fn seals_off(&self, bound: &Bound) -> bool {
+        self.parts.as_ref().is_some_and(|parts| parts.seal_off(bound))
     }
 }
 

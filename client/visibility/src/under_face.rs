@@ -232,6 +232,13 @@ impl Region {
 }
 
 impl Face {
+    /// Bytes that its tiles take.
+    pub fn memory_bytes(&self) -> usize {
+        self.least.capacity() * size_of::<f32>()
+            + self.tiles.capacity() * size_of::<Tile>()
+            + self.pixels.capacity() * size_of::<[[f32; TILE]; TILE]>()
+    }
+
     /// An open image. Sizes are rounded up to whole tiles; only `width` × `height` pixels are ever asked about.
     pub fn new([right, up, forward]: [DVec3; 3], focal: f64, width: usize, height: usize) -> Face {
         assert!(width.max(height) <= SIDE_MAX, "an image of {width}x{height} pixels is larger than {SIDE_MAX} a side");

@@ -398,6 +398,11 @@ async fn tick(handle: Handle) {
         tokio::time::sleep_until(handle.clock.instant(due).into()).await;
         let (started, late) = (Instant::now(), handle.clock.now().since(due));
         handle.drive(|world, now| world.tick(now));
+        if let Some(plan) = handle.with_world(|world| world.poll_plan()) {
+            for line in &plan.lines {
+                tracing::info!(stage = line.stage.name(), "the plan is revised, {}: {}", line.verdict(), line.evidence);
+            }
+        }
         handle.life.ticked(handle.clock.now());
         let mut guard = handle.lock();
         let core = &mut *guard;

@@ -5,13 +5,14 @@ use eyeline_protocol::ObjectId;
 use glam::DVec3;
 
 use super::radius::SETTING_METRES;
-use super::squares::{Squares, square_of};
+use super::squares::{Squares, scan, square_of};
 use super::{Policy, PolicyError, Watcher, check};
 use crate::world::Object;
 
 /// A client is told of every object whose reference point is in one of nine squares.
 pub struct Grid {
     cell: f64,
+    shares: bool,
     squares: Squares,
 }
 
@@ -22,7 +23,7 @@ impl Grid {
     /// If that is not a length.
     pub fn new(cell: f64) -> Result<Grid, PolicyError> {
         check("cell", cell, SETTING_METRES)?;
-        Ok(Grid { cell, squares: Squares::default() })
+        Ok(Grid { cell, shares: true, squares: Squares::default() })
     }
 
     /// Whether an eye is told of what stands at `place` where squares are of `cell` metres.
@@ -37,19 +38,37 @@ impl Policy for Grid {
         "grid"
     }
 
-    fn begin_tick(&mut self, objects: &[Object]) {
-        self.squares.fill(self.cell, objects);
+    fn has_index(&self) -> bool {
+        true
     }
 
-    fn interest(&mut self, _: &[Object], watcher: &Watcher, told: &mut Vec<ObjectId>) {
+    fn share(&mut self, shares: bool) {
+        self.shares = shares;
+    }
+
+    fn memory_bytes(&self) -> usize {
+        self.squares.memory_bytes()
+    }
+
+    fn begin_tick(&mut self, objects: &[Object]) {
+        match self.shares {
+            true => self.squares.fill(self.cell, objects),
+            false => self.squares.clear(),
+        }
+    }
+
+    fn interest(&mut self, objects: &[Object], watcher: &Watcher, told: &mut Vec<ObjectId>) {
         let first = told.len();
         // From the middle of the own square, so that rounding can't reach a fourth one.
         let span = |metres: f64| {
             let middle = (square_of(metres, self.cell) as f64 + 0.5) * self.cell;
             middle - self.cell..=middle + self.cell
         };
-        let near = self.squares.within(span(watcher.eye.x), span(watcher.eye.z));
-        told.extend(near.filter(|&id| Some(id) != watcher.avatar));
+        let (x, z) = (span(watcher.eye.x), span(watcher.eye.z));
+        match self.shares {
+            true => told.extend(self.squares.within(x, z).filter(|&id| Some(id) != watcher.avatar)),
+            false => told.extend(scan(self.cell, objects, x, z).filter(|&id| Some(id) != watcher.avatar)),
+        }
         told[first..].sort_unstable();
     }
 }
@@ -62,10 +81,16 @@ mod tests {
     fn told(cell: f64, places: &[[f64; 3]], eye: DVec3) -> Vec<u32> {
         let mut policy = Grid::new(cell).unwrap();
         let world = world(places);
-        policy.begin_tick(world.objects());
-        let mut told = Vec::new();
-        policy.interest(world.objects(), &watcher(1, 0, eye), &mut told);
-        told.iter().map(|id| id.0).collect()
+        // With the index and without it the same is told.
+        let told = [true, false].map(|shares| {
+            policy.share(shares);
+            policy.begin_tick(world.objects());
+            let mut told = Vec::new();
+            policy.interest(world.objects(), &watcher(1, 0, eye), &mut told);
+            told
+        });
+        assert_eq!(told[0], told[1]);
+        told[0].iter().map(|id| id.0).collect()
     }
 
     #[test]

@@ -66,6 +66,22 @@ pub trait Policy: Send {
         let _ = classes;
     }
 
+    /// Whether there is an index over all objects, which [`Policy::begin_tick`] fills and all watchers share.
+    fn has_index(&self) -> bool {
+        false
+    }
+
+    /// Sets whether that index is filled from the next tick on. Without it each watcher has every object looked at, and
+    /// is told the same.
+    fn share(&mut self, shares: bool) {
+        let _ = shares;
+    }
+
+    /// Bytes that it keeps, by the capacity of its lists.
+    fn memory_bytes(&self) -> usize {
+        0
+    }
+
     /// A new state has been committed. [`Policy::interest`] is then called once for each watcher there is.
     fn begin_tick(&mut self, objects: &[Object]) {
         let _ = objects;

@@ -17,6 +17,7 @@ use crate::world::{Object, present};
 pub struct Pvs {
     table: Arc<PvsTable>,
     extents: Vec<Extent>,
+    shares: bool,
     /// A cell and an object that touches it, ascending.
     touching: Vec<(u32, ObjectId)>,
     /// Objects that stick out of the table's cells.
@@ -29,7 +30,7 @@ const CELLS_TOUCHED_MAX: usize = 512;
 impl Pvs {
     /// Tells by a table, which must be of the world that is served: see [`PvsTable::check_world`].
     pub fn new(table: Arc<PvsTable>) -> Pvs {
-        Pvs { table, extents: Vec::new(), touching: Vec::new(), outside: Vec::new() }
+        Pvs { table, extents: Vec::new(), shares: true, touching: Vec::new(), outside: Vec::new() }
     }
 }
 
@@ -42,16 +43,27 @@ impl Policy for Pvs {
         self.extents = classes.iter().map(|class| class.extent).collect();
     }
 
+    fn has_index(&self) -> bool {
+        true
+    }
+
+    fn share(&mut self, shares: bool) {
+        self.shares = shares;
+    }
+
+    fn memory_bytes(&self) -> usize {
+        self.touching.capacity() * size_of::<(u32, ObjectId)>() + self.outside.capacity() * size_of::<ObjectId>()
+    }
+
     fn begin_tick(&mut self, objects: &[Object]) {
         self.touching.clear();
         self.outside.clear();
+        if !self.shares {
+            return;
+        }
         for (id, object) in present(objects) {
-            let Extent { radius, bottom, top } = self.extents[usize::from(object.class.0)];
-            let place = object.position.metres();
-            let min = place + DVec3::new(-radius, bottom, -radius);
-            let max = place + DVec3::new(radius, top, radius);
             let first = self.touching.len();
-            if let Some(cells) = self.table.grid().touched(min, max) {
+            if let Some(cells) = touched(&self.table, &self.extents, object) {
                 self.touching.extend(cells.take(CELLS_TOUCHED_MAX + 1).map(|cell| (cell, id)));
             }
             if !(1..=CELLS_TOUCHED_MAX).contains(&(self.touching.len() - first)) {
@@ -67,6 +79,20 @@ impl Policy for Pvs {
             told.extend(present(objects).map(|(id, _)| id).filter(|&id| Some(id) != watcher.avatar));
             return;
         };
+        if !self.shares {
+            let is_told = |object: &Object| {
+                let (mut cells, mut sees) = (0, false);
+                let touched = touched(&self.table, &self.extents, object).into_iter().flatten();
+                for other in touched.take(CELLS_TOUCHED_MAX + 1) {
+                    cells += 1;
+                    sees |= self.table.sees(cell, other);
+                }
+                sees || !(1..=CELLS_TOUCHED_MAX).contains(&cells)
+            };
+            let now = present(objects).filter(|(_, object)| is_told(object)).map(|(id, _)| id);
+            told.extend(now.filter(|&id| Some(id) != watcher.avatar));
+            return;
+        }
         let mut now = self.outside.clone();
         for &(first, count) in self.table.row(cell) {
             let start = self.touching.partition_point(|&(cell, _)| cell < first);
@@ -77,6 +103,18 @@ impl Policy for Pvs {
         now.dedup();
         told.extend(now.into_iter().filter(|&id| Some(id) != watcher.avatar));
     }
+}
+
+/// The cells that an object touches; `None` if it sticks out of them.
+fn touched<'a>(
+    table: &'a PvsTable,
+    extents: &[Extent],
+    object: &Object,
+) -> Option<impl Iterator<Item = u32> + use<'a>> {
+    let Extent { radius, bottom, top } = extents[usize::from(object.class.0)];
+    let place = object.position.metres();
+    let (min, max) = (place + DVec3::new(-radius, bottom, -radius), place + DVec3::new(radius, top, radius));
+    table.grid().touched(min, max)
 }
 
 #[cfg(test)]
@@ -91,10 +129,16 @@ mod tests {
         let world = world(places);
         let mut policy = Pvs::new(Arc::new(table(sees)));
         policy.start(world.classes());
-        policy.begin_tick(world.objects());
-        let mut told = Vec::new();
-        policy.interest(world.objects(), &watcher(1, 0, eye.into()), &mut told);
-        told.iter().map(|id| id.0).collect()
+        // With the index and without it the same is told.
+        let told = [true, false].map(|shares| {
+            policy.share(shares);
+            policy.begin_tick(world.objects());
+            let mut told = Vec::new();
+            policy.interest(world.objects(), &watcher(1, 0, eye.into()), &mut told);
+            told
+        });
+        assert_eq!(told[0], told[1]);
+        told[0].iter().map(|id| id.0).collect()
     }
 
     /// The watcher's own avatar and one post in the middle of each cell of the lower storey, but its own.

@@ -17,6 +17,7 @@ pub struct Radius {
     radius: f64,
     keep: f64,
     extents: Vec<Extent>,
+    shares: bool,
     squares: Squares,
     /// The widest extent in the world: how far beyond `keep` a reference point may be.
     widest: f64,
@@ -38,6 +39,7 @@ impl Radius {
             radius,
             keep: radius * (1.0 + hysteresis),
             extents: Vec::new(),
+            shares: true,
             squares: Squares::default(),
             widest: 0.0,
             tick: 0,
@@ -63,11 +65,27 @@ impl Policy for Radius {
         self.extents = classes.iter().map(|class| class.extent).collect();
     }
 
+    fn has_index(&self) -> bool {
+        true
+    }
+
+    fn share(&mut self, shares: bool) {
+        self.shares = shares;
+    }
+
+    fn memory_bytes(&self) -> usize {
+        let told: usize = self.told.values().map(|(_, told)| told.capacity()).sum();
+        self.squares.memory_bytes() + told * size_of::<ObjectId>()
+    }
+
     fn begin_tick(&mut self, objects: &[Object]) {
         // Every watcher is asked for at every tick: who was not, has left.
         let last = self.tick;
         self.told.retain(|_, (tick, _)| *tick == last);
         self.tick += 1;
+        if !self.shares {
+            return self.squares.clear();
+        }
         let radii = present(objects).map(|(_, object)| extent(&self.extents, object).radius);
         self.widest = radii.fold(0.0, f64::max);
         // Half of what is asked for: fewer objects in vain than with whole squares, and still few rows.
@@ -77,16 +95,19 @@ impl Policy for Radius {
     fn interest(&mut self, objects: &[Object], watcher: &Watcher, told: &mut Vec<ObjectId>) {
         let (_, before) = self.told.remove(&watcher.session).unwrap_or_default();
         let (eye, reach) = (watcher.eye, self.keep + self.widest);
-        let mut now: Vec<ObjectId> = self
-            .squares
-            .within(eye.x - reach..=eye.x + reach, eye.z - reach..=eye.z + reach)
-            .filter(|&id| Some(id) != watcher.avatar)
-            .filter(|&id| {
-                let object = &objects[id.index()];
-                let distance = Radius::distance(eye, object.position.metres(), extent(&self.extents, object));
-                distance <= self.radius || distance <= self.keep && before.binary_search(&id).is_ok()
-            })
-            .collect();
+        let is_told = |&id: &ObjectId| {
+            let object = &objects[id.index()];
+            let distance = Radius::distance(eye, object.position.metres(), extent(&self.extents, object));
+            let is_near = distance <= self.radius || distance <= self.keep && before.binary_search(&id).is_ok();
+            is_near && Some(id) != watcher.avatar
+        };
+        let mut now: Vec<ObjectId> = match self.shares {
+            true => {
+                let near = self.squares.within(eye.x - reach..=eye.x + reach, eye.z - reach..=eye.z + reach);
+                near.filter(is_told).collect()
+            }
+            false => present(objects).map(|(id, _)| id).filter(is_told).collect(),
+        };
         now.sort_unstable();
         told.extend_from_slice(&now);
         self.told.insert(watcher.session, (self.tick, now));
@@ -111,10 +132,17 @@ mod tests {
 
     fn told(policy: &mut Radius, places: &[[f64; 3]], eye: DVec3) -> Vec<u32> {
         let world = world(places);
-        policy.begin_tick(world.objects());
-        let mut told = Vec::new();
-        policy.interest(world.objects(), &watcher(1, 0, eye), &mut told);
-        told.iter().map(|id| id.0).collect()
+        // With the index and without it the same is told; the second watcher remembers what the first does.
+        let told = [(1, true), (2, false)].map(|(session, shares)| {
+            policy.share(shares);
+            policy.begin_tick(world.objects());
+            let mut told = [Vec::new(), Vec::new()];
+            policy.interest(world.objects(), &watcher(session, 0, eye), &mut told[0]);
+            policy.interest(world.objects(), &watcher(3 - session, 0, eye), &mut told[1]);
+            told
+        });
+        assert!(told.iter().flatten().all(|one| *one == told[0][0]), "{told:?}");
+        told[0][0].iter().map(|id| id.0).collect()
     }
 
     fn policy(radius: f64, hysteresis: f64) -> Radius {

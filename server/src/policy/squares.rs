@@ -27,6 +27,16 @@ impl Squares {
         self.entries.sort_unstable();
     }
 
+    /// Empties it.
+    pub fn clear(&mut self) {
+        self.entries.clear();
+    }
+
+    /// Bytes that it takes.
+    pub fn memory_bytes(&self) -> usize {
+        self.entries.capacity() * size_of::<(i64, i64, ObjectId)>()
+    }
+
     /// The objects in the squares that hold these x and z, metres. At most a few squares a side should be asked for: each
     /// row is a search of its own.
     pub fn within(&self, x: RangeInclusive<f64>, z: RangeInclusive<f64>) -> impl Iterator<Item = ObjectId> + '_ {
@@ -37,6 +47,23 @@ impl Squares {
             self.entries[start..].iter().take_while(move |&&(x, z, _)| x == row && z <= last).map(|&(_, _, id)| id)
         })
     }
+}
+
+/// The objects in the squares of `side` metres that hold these x and z, found by a look at each: what
+/// [`Squares::within`] finds, in the order of ids.
+pub(super) fn scan(
+    side: f64,
+    objects: &[Object],
+    x: RangeInclusive<f64>,
+    z: RangeInclusive<f64>,
+) -> impl Iterator<Item = ObjectId> + '_ {
+    let squares = |range: RangeInclusive<f64>| square_of(*range.start(), side)..=square_of(*range.end(), side);
+    let (rows, columns) = (squares(x), squares(z));
+    let is_near = move |object: &Object| {
+        let place = object.position.metres();
+        rows.contains(&square_of(place.x, side)) && columns.contains(&square_of(place.z, side))
+    };
+    present(objects).filter(move |(_, object)| is_near(object)).map(|(id, _)| id)
 }
 
 /// The square that a coordinate falls into: half-open, so that each place is in one.

@@ -1,9 +1,11 @@
 //! Who is here, and how much do they see? Counted when somebody asks, not as it changes.
 
+use eyeline_protocol::PlanSwitch;
+
 use super::session::Phase;
-use super::{World, present};
+use super::{Object, World, present};
 use crate::histogram::{Histogram, NUMBERS};
-use crate::plan::PlanCounts;
+use crate::plan::{PlanCounts, Running};
 
 /// The sessions of a world, and what they are told.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,17 +74,45 @@ impl World {
         self.config.swept
     }
 
+    /// What is asked of the plan.
+    pub(crate) fn plan_switch(&self) -> PlanSwitch {
+        self.config.plan
+    }
+
+    /// What is left out by now.
+    pub(crate) fn running(&self) -> &Running {
+        &self.running
+    }
+
+    /// The policy's name, and whether it has an index that watchers share.
+    pub(crate) fn index_of(&self) -> (&'static str, bool) {
+        (self.policy.name(), self.policy.has_index())
+    }
+
+    /// Clients that were let in and look at the world, or may come back to.
+    pub(super) fn watching(&self) -> usize {
+        self.sessions.values().filter(|session| matches!(session.phase, Phase::Live { watches: true, .. })).count()
+    }
+
+    /// Bytes that objects, sessions and the policy's index take, by the capacity of their lists: an estimate, without
+    /// what waits to be sent and what allocators add.
+    pub fn memory_bytes(&self) -> usize {
+        self.objects.iter().map(Object::memory_bytes).sum::<usize>()
+            + self.sessions.values().map(|session| session.memory_bytes()).sum::<usize>()
+            + self.policy.memory_bytes()
+    }
+
     /// What [`crate::plan::plan`] is made from. Looks at each object once.
     pub fn plan_counts(&self) -> PlanCounts {
         let mut counts = PlanCounts {
             avatars: self.avatars_alive,
             clients: self.sessions.len(),
+            watching: self.watching(),
             states: self.stats.out.states,
             ..PlanCounts::default()
         };
         for object in self.objects.iter().filter(|object| object.alive) {
-            let bits = object.holders.len() + object.told_since_violation.len();
-            counts.sharing_bytes += bits.div_ceil(usize::BITS as usize) * size_of::<usize>();
+            counts.sharing_bytes += object.sharing_bytes();
             if object.class == super::AVATAR_CLASS {
                 continue;
             }

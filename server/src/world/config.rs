@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use eyeline_protocol::{CLASSES_MAX, NAME_BYTES_MAX, OutOfRange};
+use eyeline_protocol::{CLASSES_MAX, NAME_BYTES_MAX, OutOfRange, PlanSwitch};
 use glam::DVec3;
 
 use super::Limits;
@@ -29,6 +29,9 @@ pub struct WorldConfig {
     /// Whether what follows a preset path is bounded by the volume that the path sweeps, and what nobody moves by where it
     /// stands, instead of by its class's speed; default true (Sudarsky & Gotsman 1999, §3.2 and Fig. 4).
     pub swept: bool,
+    /// What is asked of the plan (DESIGN.md §8); default as counted. `states` can't be left out, since somebody would
+    /// miss them.
+    pub plan: PlanSwitch,
     /// A client that has not been heard of for so long gets no more updates until it is; default 3 s.
     pub lease: Duration,
     /// Greatest eye region of an audit, metres; default 2: what an avatar of 2 m/s reaches within a round trip of 0.4 s. A
@@ -102,6 +105,7 @@ impl Default for WorldConfig {
             validity_max: Duration::from_secs(3600),
             jitter: Duration::from_millis(60),
             swept: true,
+            plan: PlanSwitch::AUTO,
             lease: Duration::from_secs(3),
             audit_radius_max: 2.0,
             dead_reckoning_px: None,
@@ -148,6 +152,11 @@ impl WorldConfig {
     /// Sets whether preset paths and rest make bounds.
     pub fn with_swept(self, swept: bool) -> WorldConfig {
         WorldConfig { swept, ..self }
+    }
+
+    /// Sets what is asked of the plan.
+    pub fn with_plan(self, plan: PlanSwitch) -> WorldConfig {
+        WorldConfig { plan, ..self }
     }
 
     /// Sets the greatest eye region of an audit, metres.

@@ -26,7 +26,7 @@ use std::time::Duration;
 
 use eyeline_protocol::{
     CLASSES_MAX, Class, ClassId, ClientControl, ClientRecord, Extent, LocalTime, MotionBound, NAME_BYTES_MAX, ObjectId,
-    Orientation, Position, QUANTUM_METRES, Refusal, Want, WireTbv, WorldInfo, WorldTime, codec,
+    Orientation, Plan, Position, QUANTUM_METRES, Refusal, Stage, Want, WireTbv, WorldInfo, WorldTime, codec,
 };
 use glam::DVec3;
 
@@ -45,6 +45,7 @@ pub use validity::Validity;
 use crate::audit::Audit;
 use crate::gate::{Gate, OpenGate};
 use crate::path::paths_of;
+use crate::plan::{self, Running};
 use crate::policy::Policy;
 use crate::spec::WorldSpec;
 
@@ -100,6 +101,8 @@ pub struct World {
     next_tick: WorldTime,
     stats: WorldStats,
     validity: Validity,
+    /// What is left out by now.
+    running: Running,
     /// Scratch of [`World::tick`].
     told: Vec<ObjectId>,
 }
@@ -177,9 +180,12 @@ impl World {
             next_tick: now,
             stats: WorldStats::default(),
             validity: Validity::default(),
+            running: Running::default(),
             told: Vec::new(),
         };
         world.tick(now);
+        // What it begins with is no revision.
+        world.running.take_revised();
         Ok(world)
     }
 
@@ -459,10 +465,15 @@ impl World {
         self.heed_gate(now);
         self.end_graces();
         self.announce();
+        self.revise_plan();
         if let Some(audit) = &mut self.audit {
             audit.begin_tick(&self.objects);
         }
-        self.retell();
+        // With nothing to see besides one's own avatar nobody is told of anything, and nothing can be due.
+        let tells = self.tells();
+        if tells {
+            self.retell();
+        }
         let quiet = self.config.lease;
         for (&id, session) in &mut self.sessions {
             let (Phase::Live { .. }, None) = (&session.phase, session.away_since) else { continue };
@@ -471,9 +482,13 @@ impl World {
                 if let Some(bytes_per_second) = self.config.bytes_per_second {
                     session.refill(bytes_per_second, elapsed, self.config.tick, &mut self.stats);
                 }
-                let reckoning = self.config.dead_reckoning_px;
-                let reckoning = reckoning.and_then(|px| Some((px, session.lens(id, &self.objects, &self.classes)?)));
-                session.mark_changes(&self.objects, tick, reckoning);
+                if tells {
+                    let reckoning = self.config.dead_reckoning_px;
+                    let reckoning =
+                        reckoning.and_then(|px| Some((px, session.lens(id, &self.objects, &self.classes)?)));
+                    session.mark_changes(&self.objects, tick, reckoning);
+                }
+                debug_assert!(tells || session.is_told_nothing(), "what it is told of would be left out");
                 session.expire(LocalTime::from_micros(now.micros()), &self.objects);
                 if session.has_something() {
                     self.awake.push_back(id);
@@ -484,7 +499,8 @@ impl World {
 
     /// Policies that decide at the server say whom each client is told about.
     fn retell(&mut self) {
-        if self.policy.tracking() {
+        // Without anybody who looks there is nobody to sort objects for.
+        if self.policy.tracking() || self.watching() == 0 {
             return;
         }
         let avatar_class = &self.classes[usize::from(AVATAR_CLASS.0)];
@@ -495,6 +511,34 @@ impl World {
             self.policy.interest(&self.objects, &watcher, &mut self.told);
             session.tell_exactly(&self.told);
         }
+    }
+
+    /// Counts what the plan is made from, and leaves out or puts back what that decides about.
+    fn revise_plan(&mut self) {
+        let (now, watching, has_others) = (self.tick, self.watching(), self.has_others());
+        if self.running.is_recount_due(now) {
+            let counts = self.plan_counts();
+            self.running.recount(&counts, now);
+        }
+        self.running.count(watching, has_others, now);
+        self.policy.share(self.config.plan.runs(Stage::Sharing, self.running.shares()));
+    }
+
+    /// Whether there is anything in the world that somebody could see besides their own avatar.
+    fn has_others(&self) -> bool {
+        let is_alone = self.sessions.len() <= 1 && self.avatars_alive <= 1;
+        !self.spec.objects.is_empty() || self.avatars_alive > 0 && !is_alone
+    }
+
+    fn tells(&self) -> bool {
+        self.running.tells() || self.config.plan.asked(Stage::States) == Some(true)
+    }
+
+    /// Lines of the plan that have been revised since the last call, if any: something was left out or put back, or
+    /// counters changed that decide about it. [`crate::plan::plan`] says the whole plan.
+    pub fn poll_plan(&mut self) -> Option<Plan> {
+        let stages = self.running.take_revised();
+        (!stages.is_empty()).then(|| Plan { lines: plan::lines(self, &stages) })
     }
 
     /// Announces that `object` broke its bound to everyone who may hold one; entering and leaving the world to all.

@@ -109,6 +109,21 @@ impl Object {
         }
     }
 
+    /// Bytes that it takes, what its path is made of apart.
+    pub(super) fn memory_bytes(&self) -> usize {
+        size_of::<Object>()
+            + self.name.capacity()
+            + self.node.capacity()
+            + self.sharing_bytes()
+            + self.state_record.1.capacity()
+    }
+
+    /// Bytes of the sets that say who may hold something of it.
+    pub(super) fn sharing_bytes(&self) -> usize {
+        let bits = self.holders.len() + self.told_since_violation.len();
+        bits.div_ceil(usize::BITS as usize) * size_of::<usize>()
+    }
+
     /// Moves to what is wanted, as far as its class allows in `elapsed` seconds since the last tick.
     ///
     /// The allowance gains speed·elapsed and is capped at the slack before that, so that over any run of ticks the

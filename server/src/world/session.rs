@@ -300,6 +300,26 @@ impl Session {
         self.subscriptions.values().filter(|subscription| subscription.active).count()
     }
 
+    /// Whether it is told of nothing, and has been told of nothing that is still there.
+    pub fn is_told_nothing(&self) -> bool {
+        self.subscriptions.is_empty() && self.states_due.is_empty()
+    }
+
+    /// Bytes that it keeps, by the capacity of its lists; an estimate where a map does not tell, and without what is
+    /// under way.
+    pub fn memory_bytes(&self) -> usize {
+        let held: usize = self.subscriptions.values().map(|subscription| subscription.held.capacity()).sum();
+        // Ordered maps and sets keep their entries in blocks that are two thirds full on average.
+        let sets = [&self.states_due, &self.bounds_due, &self.hidden_due, &self.held_back];
+        let in_order = sets.iter().map(|set| set.len()).sum::<usize>() * size_of::<ObjectId>()
+            + self.violations.len() * size_of::<(ObjectId, Violation)>();
+        size_of::<Session>()
+            + self.subscriptions.capacity() * (size_of::<(ObjectId, Subscription)>() + 1)
+            + held * size_of::<Held>()
+            + self.known.capacity() * (size_of::<(ObjectId, Known)>() + 1)
+            + in_order * 3 / 2
+    }
+
     /// Number of states that are due.
     pub fn states_due(&self) -> usize {
         self.states_due.len()

@@ -12,7 +12,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use eyeline_client::net::{Driver, FrameReport};
 use eyeline_client::session::{IndexMaker, Session, SessionConfig};
-use eyeline_client::tracking::TrackerConfig;
+use eyeline_client::tracking::{Ahead, TrackerConfig};
 use eyeline_protocol::codec::ControlReader;
 use eyeline_protocol::{LocalTime, WorldTime};
 use eyeline_server::policy::PolicySettings;
@@ -107,6 +107,9 @@ struct Player {
     /// When its newest datagram arrived, or its newest frame was: its own time goes forward only.
     now: LocalTime,
     frame: u64,
+    /// Whether the newest frame culled, and for which lead.
+    has_looked: bool,
+    ahead: Ahead,
 }
 
 /// A recording under way.
@@ -305,6 +308,16 @@ fn say(world: &mut World, ids: &mut Vec<SessionId>, who: u32, at: WorldTime, inp
     }
 }
 
+impl Player {
+    /// Culls as the newest frame would have if there is something to track since.
+    fn look_at_news(&mut self) {
+        if self.frame > 0 && !self.has_looked && self.session.tracks() {
+            self.driver.cull(self.ahead);
+            self.has_looked = true;
+        }
+    }
+}
+
 impl Recorder {
     fn say(&mut self, who: usize, at: WorldTime, input: Input) {
         say(&mut self.world, &mut self.ids, who as u32, at, &input);
@@ -316,7 +329,8 @@ impl Recorder {
         self.say(who, at, Input::Connect);
         self.by_id.insert(self.ids[who], who);
         let now = LocalTime::from_micros(at.micros());
-        self.players.push(Player { session, driver, reader: ControlReader::default(), now, frame: 0 });
+        let (reader, ahead) = (ControlReader::default(), Ahead::default());
+        self.players.push(Player { session, driver, reader, now, frame: 0, has_looked: false, ahead });
         self.speak(who, at);
         self.deliver(at);
     }
@@ -346,12 +360,13 @@ impl Recorder {
                     while let Ok(Some(message)) = player.reader.next_message() {
                         player.session.handle_control(&message);
                     }
-                    if let Some(occlusion) = player.driver.occlusion().filter(|_| player.frame > 0) {
+                    player.look_at_news();
+                    if let Some(occlusion) = player.driver.occlusion().filter(|_| player.has_looked) {
                         player.session.handle_news(occlusion);
                     }
                 }
                 Transmit::Datagram(bytes) => {
-                    let occlusion = player.driver.occlusion().filter(|_| player.frame > 0);
+                    let occlusion = player.driver.occlusion().filter(|_| player.has_looked);
                     player.session.handle_datagram(&bytes, occlusion, player.now);
                 }
                 _ => {}
@@ -374,8 +389,14 @@ impl Recorder {
             player.session.set_pose(pose.object, pose.position, pose.orientation);
         }
         let ahead = player.session.ahead();
-        player.driver.cull(ahead);
-        let time = player.driver.occlusion().and_then(|occlusion| player.session.frame(ahead, occlusion, now));
+        // As the client's own loop does: while nothing is tracked nobody need know what hides things.
+        (player.has_looked, player.ahead) = (player.session.tracks() || !player.session.looks(), ahead);
+        let time = if player.has_looked {
+            player.driver.cull(ahead);
+            player.driver.occlusion().and_then(|occlusion| player.session.frame(ahead, occlusion, now))
+        } else {
+            player.session.frame_alone(ahead, now)
+        };
         let none = Duration::ZERO;
         let report =
             FrameReport { frame: player.frame, began: now, time, cull: none, track: none, late: none, skipped: 0 };

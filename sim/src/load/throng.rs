@@ -22,6 +22,7 @@ use anyhow::Context as _;
 use bytes::BytesMut;
 use eyeline_client::net::{Driver, FrameReport, LocalClock, Trust};
 use eyeline_client::session::Session;
+use eyeline_client::tracking::Ahead;
 use eyeline_protocol::LocalTime;
 use quinn::udp::{BATCH_SIZE, RecvMeta, UdpSocketState};
 use quinn_proto::{ConnectionHandle, DatagramEvent, Endpoint, EndpointConfig};
@@ -29,6 +30,24 @@ use tokio::io::Interest;
 
 use super::churn::{Change, Churn};
 use link::{Heard, Link};
+
+/// What a member's newest frame looked for: nothing, while nothing is tracked.
+#[derive(Clone, Copy, Debug, Default)]
+struct Looked {
+    at_all: bool,
+    has_frame: bool,
+    ahead: Ahead,
+}
+
+impl Looked {
+    /// Culls as the newest frame would have if there is something to track since.
+    fn at_news(&mut self, session: &Session, player: &mut dyn Driver) {
+        if self.has_frame && !self.at_all && session.tracks() {
+            player.cull(self.ahead);
+            self.at_all = true;
+        }
+    }
+}
 
 /// What becomes a member: a session before its hello, and whoever is in front of it.
 pub struct Recruit {
@@ -78,6 +97,7 @@ struct Member {
     /// Frames so far, and frames left out because the process came late.
     frames: u64,
     skipped: u64,
+    looked: Looked,
     churn: Option<Churn>,
     /// What it does next, and when.
     change: Option<(LocalTime, Change)>,
@@ -175,6 +195,7 @@ impl Throng {
                 link: None,
                 frames: 0,
                 skipped: 0,
+                looked: Looked::default(),
                 churn,
                 change: None,
                 turn: 0,
@@ -351,7 +372,7 @@ impl Throng {
         let member = &mut self.members[number];
         let is_own = member.link == Some(link.handle);
         let heard = match is_own {
-            true => link.hear(&mut member.session, member.player.as_ref(), member.frames > 0, self.clock),
+            true => link.hear(&mut member.session, member.player.as_mut(), &mut member.looked, self.clock),
             false => link.ignore(),
         };
         let heard = heard.with_context(|| format!("client {}", self.rules.first + number))?;
@@ -433,14 +454,19 @@ impl Throng {
     /// One frame, as `run_headless` of the client's own shell plays it.
     fn frame(&mut self, number: usize, due: LocalTime) {
         let now = self.clock.now();
-        let Member { session, player, frames, skipped, .. } = &mut self.members[number];
+        let Member { session, player, frames, skipped, looked, .. } = &mut self.members[number];
         for pose in player.poses(session, now) {
             session.set_pose(pose.object, pose.position, pose.orientation);
         }
         let started = Instant::now();
         let ahead = session.ahead();
-        player.cull(ahead);
-        let time = player.occlusion().and_then(|occlusion| session.frame(ahead, occlusion, now));
+        *looked = Looked { at_all: session.tracks() || !session.looks(), has_frame: true, ahead };
+        let time = if looked.at_all {
+            player.cull(ahead);
+            player.occlusion().and_then(|occlusion| session.frame(ahead, occlusion, now))
+        } else {
+            session.frame_alone(ahead, now)
+        };
         let report = FrameReport {
             frame: *frames,
             began: now,
@@ -509,7 +535,7 @@ impl Throng {
         let Recruit { session, player } = (self.recruiter)(self.rules.first + number, self.members[number].turn);
         let member = &mut self.members[number];
         (member.session, member.player) = (session, player);
-        (member.frames, member.skipped) = (0, 0);
+        (member.frames, member.skipped, member.looked) = (0, 0, Looked::default());
         self.dial(number)
     }
 }

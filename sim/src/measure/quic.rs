@@ -310,13 +310,13 @@ async fn watch(
     let warm_up =
         run_headless(&mut connection, &mut person, frame, first, tokio::time::sleep_until(start.into())).await?;
     let before = connection.udp();
-    let before_stats = connection.session.tracker().map(|tracker| *tracker.stats()).unwrap_or_default();
+    let before_stats = connection.session.tracker_stats();
     let sent = connection.session.stats().records_out;
     let summary =
         run_headless(&mut connection, &mut person, frame, warm_up.next, tokio::time::sleep_until(end.into())).await?;
     let after = connection.udp();
     let avatar = connection.session.welcome().and_then(|welcome| welcome.avatars.first()).map(|avatar| avatar.0);
-    let stats = connection.session.tracker().map(|tracker| *tracker.stats()).unwrap_or_default();
+    let stats = connection.session.tracker_stats();
     let sent = connection.session.stats().records_out - sent;
     connection.close().await;
     drop(person);

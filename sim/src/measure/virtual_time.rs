@@ -111,7 +111,7 @@ pub(super) fn run(
             before = *run.world().stats();
             for (log, number) in recorder.clients.iter_mut().zip(&recorder.numbers) {
                 let session = &run.clients()[*number].session;
-                recorder.trackers.push(session.tracker().map(|tracker| *tracker.stats()).unwrap_or_default());
+                recorder.trackers.push(session.tracker_stats());
                 log.sent = session.stats().records_out;
                 if let Some(udp) = run.udp(*number) {
                     log.udp = udp;
@@ -128,7 +128,7 @@ pub(super) fn run(
             log.udp = std::array::from_fn(|index| udp[index] - log.udp[index]);
         }
         log.avatar = client.avatar().unwrap_or_default();
-        let stats = client.session.tracker().map(|tracker| *tracker.stats()).unwrap_or_default();
+        let stats = client.session.tracker_stats();
         log.note(before, &stats);
         log.sent = client.session.stats().records_out.saturating_sub(log.sent);
     }

@@ -1,6 +1,8 @@
 //! What would leaving it in cost? Each stage on against off, and the planned culler against every fixed one.
 //!
-//! Everything of one scene is timed in one process and interleaved, round by round, since the speed of a shared machine drifts.
+//! Everything of one scene is timed in one process and interleaved, round by round, since the speed of a shared machine
+//! drifts. In which order is left to chance (seeded), anew for each view and round, since a way that follows a like one
+//! finds its triangles in the cache.
 //! A frame is culling and drawing on the CPU: what a culler spares is drawing.
 
 // This is a driver: it may read the clock.
@@ -16,6 +18,7 @@ use eyeline_visibility::{
     AnyTessellation, Culled, Culler, EyeRegion, Frustum, FrustumBackface, ItemBuffer, MaskedCplp, Planned, Scratch,
     View, ZBuffer,
 };
+use rand::seq::SliceRandom as _;
 use serde::Serialize;
 
 use super::live::{LiveRules, Lived};
@@ -118,14 +121,19 @@ pub fn drawing(planner: &Planner, config: &CostConfig, mut each_round: impl FnMu
     let mut items: Vec<ItemBuffer> = planner.views.iter().take(1).map(ItemBuffer::new).collect();
     let Some(items) = items.first_mut() else { return Ok(Vec::new()) };
     ways.iter_mut().for_each(|way| way.times = vec![Vec::new(); planner.views.len()]);
+    let mut order: Vec<usize> = (0..ways.len()).collect();
+    let mut chance = crate::chance(config.seed, 9);
     // The first round is for warming up and for pictures.
     for round in 0..config.repeats.max(1) + 1 {
         for (number, view) in planner.views.iter().enumerate() {
             let mut truth: Option<Vec<u32>> = None;
-            // Each way has its turn at being first, but for the round that holds pictures against that of everything.
-            let count = ways.len();
-            for turn in 0..count {
-                let way = &mut ways[(turn + round) % count];
+            if round > 0 {
+                // Whoever comes right after a like way finds its triangles in the cache. By chance no way always does.
+                order.shuffle(&mut chance);
+            }
+            // The first round holds pictures against that of everything.
+            for &turn in &order {
+                let way = &mut ways[turn];
                 let began = Instant::now();
                 let culled = (way.cull)(view);
                 items.begin(view);
@@ -189,14 +197,18 @@ pub fn live(planner: &Planner, config: &CostConfig, mut each: impl FnMut()) -> a
             seconds: config.seconds,
             walks,
             others: 0,
+            others_leave: false,
             switch: config.switch.with(stage, runs),
             seed: config.seed,
         };
         let auto = planner.live.run(&LiveRules { switch: config.switch, ..rules(true) })?;
         let planned = auto.plan.runs(stage);
         let mut sides: [(bool, Vec<f64>, Option<Lived>); 2] = [(true, Vec::new(), None), (false, Vec::new(), None)];
-        for _ in 0..config.repeats.clamp(1, 5) {
-            for (runs, times, lived) in &mut sides {
+        for round in 0..config.repeats.clamp(1, 5) {
+            // Each is first in its turn.
+            let order = if round % 2 == 0 { [0, 1] } else { [1, 0] };
+            for side in order {
+                let (runs, times, lived) = &mut sides[side];
                 let done = planner.live.run(&rules(*runs))?;
                 times.push(done.run_ms);
                 *lived = Some(done);
@@ -218,7 +230,7 @@ pub fn live(planner: &Planner, config: &CostConfig, mut each: impl FnMut()) -> a
                 over_frustum_percent: None,
                 over_everything_percent: None,
                 build_ms: 0.0,
-                memory_mb: 0.0,
+                memory_mb: lived.memory_bytes as f64 / 1e6,
                 triangles: 0.0,
                 messages: Some(lived.messages),
                 bytes: Some(lived.bytes),

@@ -11,13 +11,16 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use eyeline_client::net::Driver as _;
+use eyeline_client::plan;
 use eyeline_client::session::{Session, SessionConfig};
 use eyeline_client::tracking::{Ahead, TrackerConfig};
-use eyeline_protocol::{LocalTime, Orientation, Plan, PlanSwitch, Stage as PlanStage, WorldInfo, WorldTime, codec};
+use eyeline_protocol::{
+    LocalTime, Orientation, Plan, PlanSwitch, Position, Stage as PlanStage, WorldInfo, WorldTime, codec,
+};
 use eyeline_server::policy::{PolicySettings, Visible};
 use eyeline_server::spec::{SpawnSpec, WorldSpec};
 use eyeline_server::world::{World, WorldConfig};
-use eyeline_visibility::{AllRound, AllRoundScratch, DynamicOctree, EyeRegion, Occlusion, Scene};
+use eyeline_visibility::{AllRound, AllRoundScratch, DynamicOctree, EyeRegion, Occlusion, Scene, SealedParts};
 use glam::DVec3;
 
 use super::FRAME;
@@ -34,6 +37,10 @@ pub struct Live {
     stage: Option<Stage>,
     /// Occluders take their time: they are made when somebody is to be looked for.
     all_round: Rc<OnceCell<Arc<AllRound>>>,
+    /// So do the parts that walls seal off: they are found out if there are objects that may lie in one.
+    parts: Rc<OnceCell<Option<Arc<SealedParts>>>>,
+    /// How far who stands sways along x, metres.
+    sway: f64,
 }
 
 /// How a world is run.
@@ -45,6 +52,8 @@ pub struct LiveRules {
     pub walks: bool,
     /// Other avatars, which stand; they come half way through the run.
     pub others: u16,
+    /// Whether they leave again after an eighth of the run, and as many others come an eighth before its end.
+    pub others_leave: bool,
     /// What is asked of the plan.
     pub switch: PlanSwitch,
     /// Decides everything that is left to chance.
@@ -68,8 +77,15 @@ pub struct Lived {
     pub culls: u64,
     /// The tracker's work: bounds tested and nodes visited.
     pub work: u64,
-    /// Whether a tracker was made.
+    /// Whether there is a tracker at the end.
     pub has_tracker: bool,
+    /// Frames in which there was one.
+    pub tracked_frames: u64,
+    /// Bounds that were found sealed off.
+    pub sealed: u64,
+    /// The most bytes that the client's tracker, image and parts of the scene took, and the server's objects and
+    /// sessions; at the end of a frame.
+    pub memory_bytes: usize,
     /// Hash of what was drawn in each frame, and where.
     pub picture: u64,
     /// Hash of all that arrived, and when.
@@ -84,7 +100,8 @@ impl Live {
     /// The world of a stage, with what moves in it.
     pub fn of_stage(stage: Stage) -> Live {
         let all_round = Rc::new(OnceCell::from(stage.all_round.clone()));
-        Live { scene: stage.model.scene.clone(), spec: stage.model.spec.clone(), all_round, stage: Some(stage) }
+        let (scene, spec) = (stage.model.scene.clone(), stage.model.spec.clone());
+        Live { scene, spec, all_round, stage: Some(stage), parts: Rc::default(), sway: 0.0 }
     }
 
     /// A scene in which nothing moves; avatars stand so that they look from `eye`, relative to the anchor.
@@ -92,7 +109,17 @@ impl Live {
         let mut spec = WorldSpec { name: name.to_owned(), ..WorldSpec::default() };
         let feet = scene.anchor() + eye - DVec3::Y * spec.avatar.eye_height;
         spec.spawns = vec![SpawnSpec { position: feet.to_array(), heading: 0.0 }];
-        Live { scene, spec, all_round: Rc::default(), stage: None }
+        Live::of_spec(scene, spec)
+    }
+
+    /// A scene with what moves in it.
+    pub fn of_spec(scene: Arc<Scene>, spec: WorldSpec) -> Live {
+        Live { scene, spec, all_round: Rc::default(), stage: None, parts: Rc::default(), sway: 0.0 }
+    }
+
+    /// Has who stands sway so far along x to either side, metres, once in five seconds: an eye that is never still.
+    pub fn with_sway(self, sway: f64) -> Live {
+        Live { sway, ..self }
     }
 
     /// Runs server and client.
@@ -105,6 +132,7 @@ impl Live {
             .with_tick(FRAME)
             .with_grid_seed(rules.seed)
             .with_swept(rules.switch.runs(PlanStage::Swept, true))
+            .with_plan(rules.switch)
             .with_default_spawn(self.scene.bounds().centre());
         let world = match &self.stage {
             Some(stage) => stage.world(config, "visible", &PolicySettings::default(), BEGIN)?,
@@ -119,32 +147,58 @@ impl Live {
         let session =
             SessionConfig::default().with_plan(rules.switch).with_tracker(TrackerConfig::default().with_frame(FRAME));
         let culls = Rc::new(Cell::new(0));
-        let person = self.stage.as_ref().filter(|_| rules.walks);
+        let could_seal = !self.spec.objects.is_empty() && rules.switch.runs(PlanStage::Sealed, true);
+        let find_parts = || plan::sealed_parts(&self.scene);
+        let parts = if could_seal { self.parts.get_or_init(find_parts).clone() } else { None };
+        let person = self.stage.as_ref().filter(|_| rules.walks).map(|stage| {
+            let mut ground = stage.ground();
+            if let Some(parts) = &parts {
+                ground.all_round = Arc::new(ground.all_round.with_parts(parts.clone()));
+            }
+            Person::on(&ground, rules.seed, 0, SIDE, None)
+        });
+        let image_bytes = Rc::new(Cell::new(0));
         let watcher = Watcher {
-            person: person.map(|stage| Person::new(stage, rules.seed, 0, SIDE, None)),
+            person,
             anchor: self.scene.anchor(),
             scene: self.scene.clone(),
-            all_round: self.all_round.clone(),
+            plain: self.all_round.clone(),
+            parts: parts.clone(),
+            all_round: None,
             scratch: None,
+            stands: DVec3::ZERO,
+            sway: self.sway,
+            image_bytes: image_bytes.clone(),
             eye: DVec3::ZERO,
             looks_again: rules.switch.runs(PlanStage::LookAgain, false),
             culls: culls.clone(),
         };
         let link = LinkRules::default().with_delay(std::time::Duration::from_millis(15));
         run.join(ClientPlan::new(session, link).with_phase(FRAME / 2), Box::new(watcher), index());
-        let mut counter = Counter::default();
-        let half = std::time::Duration::from_secs_f64(rules.seconds * 0.5);
-        run.run_for(half, &mut counter);
-        for _ in 0..rules.others {
-            let plan = ClientPlan::new(SessionConfig::default().with_plan(rules.switch), LinkRules::default());
-            run.join(plan.with_phase(FRAME / 3), Box::new(Bystander), index());
+        let parts_bytes = parts.map_or(0, |parts| parts.memory_bytes());
+        let mut counter = Counter { image_bytes, parts_bytes, ..Counter::default() };
+        let eighths = |count: f64| std::time::Duration::from_secs_f64(rules.seconds * 0.125 * count);
+        let come = |run: &mut VirtualRun| {
+            for _ in 0..rules.others {
+                let plan = ClientPlan::new(SessionConfig::default().with_plan(rules.switch), LinkRules::default());
+                run.join(plan.with_phase(FRAME / 3), Box::new(Bystander), index());
+            }
+        };
+        run.run_for(eighths(4.0), &mut counter);
+        come(&mut run);
+        if rules.others_leave {
+            run.run_for(eighths(1.0), &mut counter);
+            (1..=usize::from(rules.others)).for_each(|other| run.client_mut(other).session.leave());
+            run.run_for(eighths(2.0), &mut counter);
+            come(&mut run);
+            run.run_for(eighths(1.0), &mut counter);
+        } else {
+            run.run_for(eighths(4.0), &mut counter);
         }
-        run.run_for(half, &mut counter);
         let session = &run.clients()[0].session;
-        let still = self.still_frames(session);
-        let mut plan = Plan { lines: session.plan_lines(still) };
+        let stats = session.tracker_stats();
+        let mut plan = Plan { lines: session.plan_lines(stats.still_frames) };
         plan.lines.extend(eyeline_server::plan::plan(run.world()).lines);
-        let stats = session.tracker().map(|tracker| *tracker.stats()).unwrap_or_default();
         Ok(Lived {
             plan,
             run_ms: began.elapsed().as_secs_f64() * 1e3,
@@ -154,13 +208,12 @@ impl Live {
             culls: culls.get(),
             work: stats.work,
             has_tracker: session.tracker().is_some(),
+            tracked_frames: counter.tracked_frames,
+            sealed: stats.sealed,
+            memory_bytes: counter.memory_bytes,
             picture: counter.hasher.finish(),
             digest: run.digest(),
         })
-    }
-
-    fn still_frames(&self, session: &Session) -> u64 {
-        session.tracker().map_or(0, |tracker| tracker.stats().still_frames)
     }
 }
 
@@ -169,8 +222,15 @@ struct Watcher {
     person: Option<Person>,
     anchor: DVec3,
     scene: Arc<Scene>,
-    all_round: Rc<OnceCell<Arc<AllRound>>>,
+    /// Occluders without parts, for all runs.
+    plain: Rc<OnceCell<Arc<AllRound>>>,
+    parts: Option<Arc<SealedParts>>,
+    all_round: Option<Arc<AllRound>>,
     scratch: Option<AllRoundScratch>,
+    /// Where the server put it.
+    stands: DVec3,
+    sway: f64,
+    image_bytes: Rc<Cell<usize>>,
     eye: DVec3,
     looks_again: bool,
     culls: Rc<Cell<u64>>,
@@ -185,6 +245,12 @@ impl ClientDriver for Watcher {
         let Some(welcome) = session.welcome() else { return };
         let Some(&(object, position, _)) = welcome.avatars.first() else { return };
         let eye_height = welcome.classes.first().map_or(0.0, |class| class.eye_height);
+        if self.stands == DVec3::ZERO {
+            self.stands = position.metres();
+        }
+        let turns = (at.micros() - BEGIN.micros()) as f64 / 5e6;
+        let wanted = self.stands + DVec3::X * (self.sway * (turns * std::f64::consts::TAU).sin());
+        let position = Position::from_metres(wanted).unwrap_or(position);
         self.eye = position.metres() + DVec3::Y * eye_height;
         poses.push(Pose { object, position, orientation: Orientation::default() });
     }
@@ -192,13 +258,18 @@ impl ClientDriver for Watcher {
     fn cull(&mut self, ahead: Ahead) {
         self.culls.set(self.culls.get() + 1);
         if let Some(person) = &mut self.person {
-            return person.cull(ahead);
+            person.cull(ahead);
+            return self.image_bytes.set(person.memory_bytes());
         }
-        let all_round = self.all_round.get_or_init(|| Arc::new(AllRound::new(&self.scene)));
+        let all_round = self.all_round.get_or_insert_with(|| {
+            let plain = self.plain.get_or_init(|| Arc::new(AllRound::new(&self.scene)));
+            self.parts.as_ref().map_or(Arc::clone(plain), |parts| Arc::new(plain.with_parts(Arc::clone(parts))))
+        });
         let scratch = self.scratch.get_or_insert_with(|| all_round.scratch(SIDE));
         let region = EyeRegion { centre: self.eye, radius: ahead.eye_radius };
         // An eye from the server is a number, and so is a lead.
         let _ = if self.looks_again { all_round.cull(region, scratch) } else { all_round.look(region, scratch) };
+        self.image_bytes.set(scratch.memory_bytes());
     }
 
     fn occlusion(&self) -> Option<&dyn Occlusion> {
@@ -234,11 +305,25 @@ struct Counter {
     states: u64,
     bytes: u64,
     hasher: DefaultHasher,
+    tracked_frames: u64,
+    /// What the client's image takes now, and parts of the scene.
+    image_bytes: Rc<Cell<usize>>,
+    parts_bytes: usize,
+    memory_bytes: usize,
 }
 
 impl Observer for Counter {
     fn framed(&mut self, frame: &Framed<'_>) {
-        let Some(tracker) = frame.session.tracker().filter(|_| frame.client == 0) else { return };
+        if frame.client != 0 {
+            return;
+        }
+        // An image that is not looked at could be let go of, too, but nobody does.
+        let server = frame.world.memory_bytes();
+        let tracker = frame.session.tracker();
+        let client = tracker.map_or(0, |tracker| tracker.memory_bytes()) + self.image_bytes.get() + self.parts_bytes;
+        self.memory_bytes = self.memory_bytes.max(server + client);
+        let Some(tracker) = tracker else { return };
+        self.tracked_frames += 1;
         for drawn in tracker.drawn() {
             (frame.at, drawn.object, drawn.position.metres().to_array().map(f64::to_bits)).hash(&mut self.hasher);
         }

@@ -63,7 +63,7 @@ impl Planner {
     /// If the world contradicts itself.
     pub fn plan(&self, switch: PlanSwitch, seed: u64) -> anyhow::Result<Plan> {
         let mut plan = Plan { lines: drawing_lines(switch, &self.counts().counts, &count_storeys(&self.world.scene)) };
-        let rules = LiveRules { seconds: 2.0, walks: false, others: 0, switch, seed };
+        let rules = LiveRules { seconds: 2.0, walks: false, others: 0, others_leave: false, switch, seed };
         plan.lines.extend(self.live.run(&rules)?.plan.lines);
         Ok(plan)
     }
@@ -95,8 +95,13 @@ impl PlanRow {
 }
 
 /// Stages whose cost is told by runs of server and client, and whether the eye walks in them.
-pub const LIVE_STAGES: [(PlanStage, bool); 4] =
-    [(PlanStage::Tracker, false), (PlanStage::LookAgain, false), (PlanStage::Exact, false), (PlanStage::Swept, true)];
+pub const LIVE_STAGES: [(PlanStage, bool); 5] = [
+    (PlanStage::Tracker, false),
+    (PlanStage::LookAgain, false),
+    (PlanStage::Exact, false),
+    (PlanStage::Sealed, true),
+    (PlanStage::Swept, true),
+];
 
 /// Time between frames and ticks of such runs.
 pub const FRAME: Duration = Duration::from_millis(50);

@@ -12,7 +12,7 @@ pub fn plan_columns() -> Vec<Column> {
         Column::new("stage", "", "a part of the work that a scene may not need"),
         Column::new("verdict", "", "runs, left out, or forced"),
         Column::new("evidence", "", "what was counted"),
-        Column::new("change", "", "until when it stays so"),
+        Column::new("change", "", "what would change it"),
     ]
 }
 
@@ -29,7 +29,11 @@ pub fn cost_columns() -> Vec<Column> {
         Column::new("over_frustum_percent", "%", "over that of plain frustum culling"),
         Column::new("over_everything_percent", "%", "over that of drawing everything"),
         Column::new("build_ms", "ms", "time to make what it needs"),
-        Column::new("memory_mb", "MB", "memory of its cells"),
+        Column::new(
+            "memory_mb",
+            "MB",
+            "memory of its cells; of runs the most of tracker, image and parts, and the server's objects and sessions",
+        ),
         Column::new("triangles", "", "triangles drawn a view"),
         Column::new("messages", "", "records in both directions, poses apart"),
         Column::new("bytes", "B", "bytes of datagrams, both directions"),
@@ -40,7 +44,7 @@ pub fn cost_columns() -> Vec<Column> {
 }
 
 /// Columns that a terminal has room for.
-pub const SHORT: [&str; 11] = [
+pub const SHORT: [&str; 12] = [
     "world",
     "stage",
     "setting",
@@ -48,6 +52,7 @@ pub const SHORT: [&str; 11] = [
     "frame_ms",
     "over_best_percent",
     "build_ms",
+    "memory_mb",
     "messages",
     "culls",
     "work",
@@ -110,7 +115,7 @@ fn drawing_plot(rows: &[CostRow]) -> Plot {
         y: Axis::linear("culling and drawing (% of the best)"),
         kind: PlotKind::Bars,
         series: series.collect(),
-        note: "Medians, interleaved in one process. `planned` is to stay below 110.".to_owned(),
+        note: "Medians, interleaved in one process in a random order. `planned` is to stay below 110.".to_owned(),
     }
 }
 

@@ -52,6 +52,10 @@ impl DynamicIndex for PlainIndex {
         self.view.bounds.lock().expect("nothing panics while it holds the lock").len()
     }
 
+    fn memory_bytes(&self) -> usize {
+        self.len() * size_of::<(u32, Bound)>() * 3 / 2
+    }
+
     fn update_visits(&self) -> u64 {
         self.updates
     }

@@ -172,7 +172,7 @@ fn steps(world: &mut World, bytes: &mut Unstructured<'_>) -> Result<()> {
         }
         drain(world, &mut clients, now);
         // Whatever happens, one's beliefs hold if one was told by the world only.
-        let broken = clients[0].session.tracker().map_or(0, |tracker| tracker.stats().broken_bounds);
+        let broken = clients[0].session.tracker_stats().broken_bounds;
         assert_eq!(broken, 0, "a bound that was told did not hold");
         for client in &mut clients {
             while client.session.poll_event().is_some() {}

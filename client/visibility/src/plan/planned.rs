@@ -5,8 +5,9 @@ use std::sync::Arc;
 use super::{Drawing, Hysteresis, SceneCounts, ViewCounts};
 use crate::{Culled, Culler, EyeRegion, Frustum, MaskedCplp, Occlusion, Scene, Scratch, Triangle, View, ZBuffer};
 
-/// Makes the occlusion culler, once it is needed: that may take seconds for a large scene.
-type Make = Box<dyn Fn(&Arc<Scene>) -> Arc<dyn Culler + Send + Sync> + Send>;
+/// Makes the occlusion culler, once it is needed: that may take seconds for a large scene. `None` says that it is not
+/// there yet, and to be asked for again.
+type Make = Box<dyn FnMut(&Arc<Scene>) -> Option<Arc<dyn Culler + Send + Sync>> + Send>;
 
 /// What is forced of a [`Planned`]; `None` is as counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -68,7 +69,7 @@ impl Planned {
             everything: ZBuffer::new(frustum.scene().clone()),
             frustum,
             occlusion: None,
-            make: Box::new(|scene| Arc::new(MaskedCplp::build(scene.clone()))),
+            make: Box::new(|scene| Some(Arc::new(MaskedCplp::build(scene.clone())))),
             by_frustum: Hysteresis::new(counts.counts.frustum_pays(), TO_ON, TO_OFF),
             by_occlusion: Hysteresis::new(drawing == Drawing::Occlusion, TO_ON, TO_OFF),
             counts,
@@ -84,10 +85,20 @@ impl Planned {
         self,
         make: impl Fn(&Arc<Scene>) -> Arc<dyn Culler + Send + Sync> + Send + 'static,
     ) -> Planned {
-        Planned { make: Box::new(make), occlusion: None, ..self }
+        self.with_occlusion_when(move |scene| Some(make(scene)))
     }
 
-    /// How views are drawn now.
+    /// With an occlusion culler that somebody else makes meanwhile. `poll` begins it when it is asked first, and has it
+    /// some time later; views until then are culled by the frustum, which makes the same picture.
+    pub fn with_occlusion_when(
+        self,
+        poll: impl FnMut(&Arc<Scene>) -> Option<Arc<dyn Culler + Send + Sync>> + Send + 'static,
+    ) -> Planned {
+        Planned { make: Box::new(poll), occlusion: None, ..self }
+    }
+
+    /// How views are to be drawn now. Until the occlusion culler is there they are drawn by the frustum instead, as
+    /// [`PlannedStats::views`] says.
     pub fn drawing(&self) -> Drawing {
         let occlusion = self.rules.occlusion.unwrap_or(self.by_occlusion.runs());
         let frustum = self.rules.frustum.unwrap_or(self.by_frustum.runs());
@@ -110,13 +121,16 @@ impl Planned {
 
     /// Culls a view, and revises the plan when it is time.
     pub fn look(&mut self, view: &View, region: EyeRegion) -> Culled {
-        let drawing = self.drawing();
-        let culled = match drawing {
-            Drawing::Everything => self.everything.cull(view, region, &mut self.scratch),
-            Drawing::Frustum => self.frustum.cull(view, region, &mut self.scratch),
-            Drawing::Occlusion => {
-                let culler = self.occlusion.get_or_insert_with(|| (self.make)(self.frustum.scene())).clone();
-                culler.cull(view, region, &mut self.scratch)
+        let mut drawing = self.drawing();
+        if drawing == Drawing::Occlusion && self.occlusion.is_none() {
+            self.occlusion = (self.make)(self.frustum.scene());
+        }
+        let culled = match (drawing, &self.occlusion) {
+            (Drawing::Everything, _) => self.everything.cull(view, region, &mut self.scratch),
+            (Drawing::Occlusion, Some(culler)) => culler.cull(view, region, &mut self.scratch),
+            (Drawing::Frustum | Drawing::Occlusion, _) => {
+                drawing = Drawing::Frustum;
+                self.frustum.cull(view, region, &mut self.scratch)
             }
         };
         self.stats.views[drawing as usize] += 1;

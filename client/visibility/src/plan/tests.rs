@@ -87,6 +87,29 @@ fn frustum_culling_leaves_out_what_no_pixel_sees() {
 }
 
 #[test]
+fn until_the_occlusion_culler_is_there_views_are_drawn_by_the_frustum() {
+    let scene = two_sides();
+    let counts = SceneCounts::of(scene.clone(), &[view(0.0)]);
+    let mut asked = 0;
+    // It is there when it is asked for the third time.
+    let mut planned = Planned::new(counts, PlannedRules::default()).with_occlusion_when(move |scene| {
+        asked += 1;
+        (asked >= 3).then(|| Arc::new(crate::MaskedCplp::build(scene.clone())) as Arc<dyn Culler + Send + Sync>)
+    });
+    let (_, exact) = exact_set(&scene, &view(0.0));
+    let mut look = || {
+        let culled = planned.look(&view(0.0), EyeRegion::point(DVec3::ZERO));
+        assert_eq!(wrong_pixels(&scene, &view(0.0), &culled.visible, &exact), 0);
+        (culled.visible.len(), planned.stats().views)
+    };
+    let (waiting, _) = look();
+    assert_eq!(look(), (waiting, [0, 2, 0]));
+    let (there, views) = look();
+    assert!(there < waiting && views == [0, 2, 1], "{there} {waiting} {views:?}");
+    assert_eq!(planned.drawing(), Drawing::Occlusion);
+}
+
+#[test]
 fn a_plan_is_revised_after_several_counts_and_not_by_a_glance() {
     let scene = two_sides();
     let counted = |turns| SceneCounts::of(scene.clone(), &[view(turns)]);

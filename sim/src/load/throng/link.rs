@@ -11,7 +11,7 @@ use eyeline_protocol::codec::ControlReader;
 use quinn::udp::UdpSocketState;
 use quinn_proto::{Connection, ConnectionHandle, Dir, Event, SendDatagramError, StreamEvent, StreamId, VarInt};
 
-use super::send;
+use super::{Looked, send};
 
 /// What was heard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,12 +60,11 @@ impl Link {
     pub fn hear(
         &mut self,
         session: &mut Session,
-        player: &dyn Driver,
-        has_looked: bool,
+        player: &mut dyn Driver,
+        looked: &mut Looked,
         clock: LocalClock,
     ) -> anyhow::Result<Heard> {
         let was_waiting = session.is_waiting();
-        let occlusion = player.occlusion().filter(|_| has_looked);
         let mut is_news = false;
         while let Some(event) = self.connection.poll() {
             match event {
@@ -74,6 +73,8 @@ impl Link {
                     self.say(session, clock.now());
                 }
                 Event::DatagramReceived => {
+                    looked.at_news(session, player);
+                    let occlusion = player.occlusion().filter(|_| looked.at_all);
                     while let Some(bytes) = self.connection.datagrams().recv() {
                         is_news = true;
                         session.handle_datagram(&bytes, occlusion, clock.now());
@@ -82,7 +83,8 @@ impl Link {
                 Event::Stream(StreamEvent::Readable { .. }) => {
                     self.read(session)?;
                     is_news = true;
-                    if let Some(occlusion) = occlusion {
+                    looked.at_news(session, player);
+                    if let Some(occlusion) = player.occlusion().filter(|_| looked.at_all) {
                         session.handle_news(occlusion);
                     }
                 }
