@@ -221,7 +221,9 @@ fn an_index_for_one_watcher_costs_more_than_it_saves() {
             let mut times = [Vec::new(), Vec::new()];
             let mut worlds = ["sharing=on", "sharing=off"].map(|switch| {
                 let mut world = world(posts, Box::new(Radius::new(4.0, 0.2).unwrap()), switch);
-                (0..watchers).for_each(|_| drop(join(&mut world, Role::Avatar)));
+                for _ in 0..watchers {
+                    join(&mut world, Role::Avatar);
+                }
                 ticks(&mut world, 0.2);
                 world
             });
