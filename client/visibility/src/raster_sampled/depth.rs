@@ -256,7 +256,7 @@ impl DepthBuffer {
         let is_wide = w > projector.near && aabb.size().min_element() * 0.5 * per_metre > MIDDLE_PX;
         let (x, y) = (projector.middle[0] + right * per_metre, projector.middle[1] - up * per_metre);
         let is_inside = x >= 0.0 && x < f64::from(projector.width) && y >= 0.0 && y < f64::from(projector.height);
-        (is_wide && is_inside && !self.blind).then(|| [x as usize, y as usize])
+        (is_wide && is_inside && !self.blind).then_some([x as usize, y as usize])
     }
 
     /// Whether a sealed face hides what is beyond it: see `seal.rs`.
