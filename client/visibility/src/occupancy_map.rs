@@ -210,7 +210,7 @@ impl OccupancyMap {
         let part = match depth.rectangle(scene) {
             BoxPlace::Outside => [[0; 2]; 2],
             BoxPlace::Touching => size.map(|size| [0, size]),
-            BoxPlace::In(rectangle) => [rectangle.x, rectangle.y].map(|[first, last]| [first, last + 1]),
+            BoxPlace::In(rectangle) => [rectangle.x(), rectangle.y()].map(|[first, last]| [first, last + 1]),
         };
         self.scale.begin(size, part);
         self.bits = Bits::EMPTY;
@@ -265,6 +265,12 @@ impl OccupancyMap {
                 image.front(middle, [begin, end]).passing(column - begin, &[0.0]) > 0
             })
         })
+    }
+
+    /// Whether a box is certainly seen in its middle: no more than one point of it is looked for in the image.
+    #[inline]
+    pub(crate) fn shows_middle(&self, depth: &DepthBuffer, aabb: &Aabb) -> bool {
+        depth.middle_pixel(aabb).is_some_and(|[x, y]| self.shows_rectangle([[x, x], [y, y]]))
     }
 
     /// The same for a rectangle: columns and rows, first and last.
@@ -340,7 +346,7 @@ pub(crate) fn is_foreseen(map: &OccupancyMap, depth: &DepthBuffer, few_pixels: b
 }
 
 /// A query of fewer rows of pixels costs no more than eight corners; one of a pyramid does.
-const CORNER_ROWS: i32 = 16;
+pub(crate) const CORNER_ROWS: i32 = 16;
 pub(crate) const PYRAMID_CORNER_ROWS: i32 = 4;
 
 /// Whether the box may be seen in the pixel in its middle or, if it has so many rows, in that of one of its corners.

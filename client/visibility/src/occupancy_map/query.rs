@@ -140,6 +140,9 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
             self.forget();
         }
         let depth = self.inner.depth();
+        if self.map.shows_middle(depth, cell) {
+            return Some(true);
+        }
         let image = match depth.box_place(cell) {
             BoxPlace::Outside => return Some(false),
             BoxPlace::Touching => return Some(true),
@@ -166,7 +169,7 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
         if self.placed.is_empty() {
             batch_of.extend(cells.iter().map(|cell| match depth.rectangle(cell) {
                 BoxPlace::In(rectangle) => {
-                    let [x, y] = [rectangle.x, rectangle.y].map(|range| range.map(|at| at as i32));
+                    let [x, y] = [rectangle.x(), rectangle.y()].map(|range| range.map(|at| at as i32));
                     batches.place(scale, x, y) as u32
                 }
                 BoxPlace::Outside | BoxPlace::Touching => 0,

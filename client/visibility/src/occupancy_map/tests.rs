@@ -123,7 +123,7 @@ fn every_pixel_that_is_drawn_is_in_a_marked_tile_and_few_other_tiles_are_marked(
 #[test]
 fn what_a_map_shows_a_query_sees() {
     let mut rng = Pcg64::seed_from_u64(3);
-    let (mut shown, mut seen, mut hidden, mut by_corner, mut asked) = (0, 0, 0, 0, 0);
+    let (mut shown, mut seen, mut hidden, mut by_corner, mut asked, mut in_middle) = (0, 0, 0, 0, 0, 0);
     for i in 0..40 {
         let view = any_view(&mut rng, RESOLUTIONS[i % RESOLUTIONS.len()]);
         // The first one hides most of what is behind, as a wall with holes would.
@@ -139,6 +139,8 @@ fn what_a_map_shows_a_query_sees() {
                 let answer = test(&depth, &aabb).0;
                 let foreseen = foresee(&map, &depth, true, &aabb);
                 assert!(foreseen.is_none_or(|known| known == answer), "{aabb:?} {view:?}");
+                assert!(answer || !map.shows_middle(&depth, &aabb), "{aabb:?} {view:?}");
+                in_middle += u32::from(map.shows_middle(&depth, &aabb));
                 if let BoxPlace::In(image) = depth.box_place(&aabb) {
                     // Another order of the same pixels.
                     assert_eq!(test_ahead(&depth, &image).0, answer, "{aabb:?} {view:?}");
@@ -151,7 +153,7 @@ fn what_a_map_shows_a_query_sees() {
                     shown += u32::from(shows);
                     by_corner += u32::from(!shows && foreseen.is_some());
                     if let BoxPlace::In(rectangle) = depth.rectangle(&aabb) {
-                        let rectangle = [rectangle.x, rectangle.y];
+                        let rectangle = [rectangle.x(), rectangle.y()];
                         assert!(map.shows_rectangle(rectangle) || !shows);
                         // A rectangle has what a silhouette has, and its nearest depth everywhere.
                         if map.shows_rectangle(rectangle) {
@@ -162,6 +164,7 @@ fn what_a_map_shows_a_query_sees() {
             }
         }
     }
+    assert!(in_middle >= 10, "{in_middle} of {seen}");
     assert!(shown * 8 > seen && hidden > 200 && by_corner > 20, "{shown} and {by_corner} of {seen} of {asked}");
 }
 

@@ -1,6 +1,7 @@
 //! Would this box change the image? HP's occlusion test: one box, then its answer (Klosowski & Silva 2001, §3.1).
 
 use super::{PlacedBox, QueryBackEnd, QueryCost, no_depth};
+use crate::occupancy_map::{CORNER_ROWS, few_pixels_pass};
 use crate::raster_sampled::{BoxImage, BoxPlace};
 use crate::{Aabb, DepthBuffer, View};
 
@@ -36,43 +37,28 @@ pub(crate) fn test(depth: &DepthBuffer, aabb: &Aabb) -> (bool, QueryCost) {
 /// The same for a box whose image is known: row by row from the top.
 fn test_image(depth: &DepthBuffer, image: &BoxImage) -> (bool, QueryCost) {
     let mut z_tests = 0;
-    let seen = image.rows().any(|(y, columns)| row_passes(depth, image, y, columns, &mut z_tests));
-    answer(depth, z_tests, seen)
-}
-
-/// The same from the middle on: the pixel in the middle first, then its row, then the others.
-///
-/// Most of what is seen at all is seen in the middle (Staneker et al. 2003, §6.1, has corners for the same purpose). To look there by
-/// itself before the whole box would cost a row more of each box that is hidden; what is looked at in another order costs nothing.
-pub(crate) fn test_ahead(depth: &DepthBuffer, image: &BoxImage) -> (bool, QueryCost) {
-    let middle = image.y[0].midpoint(image.y[1]);
-    let mut z_tests = 0;
-    let [first, last] = image.columns(middle);
-    let seen_in_middle = first <= last && {
-        let (y, columns) = (middle as usize, [first as usize, last as usize]);
-        let (front, row) = (image.front(y, columns), depth.row(y));
-        let at = columns[0].midpoint(columns[1]);
-        z_tests = 1;
-        front.passing(at - columns[0], &row[at..=at]) > 0 || {
-            z_tests = columns[1] + 1 - columns[0];
-            front.passing(0, &row[columns[0]..=columns[1]]) > 0
-        }
-    };
-    let seen = seen_in_middle
-        || image.rows().any(|(y, columns)| y as i32 != middle && row_passes(depth, image, y, columns, &mut z_tests));
-    answer(depth, z_tests, seen)
-}
-
-#[inline]
-fn row_passes(depth: &DepthBuffer, image: &BoxImage, y: usize, [first, last]: [usize; 2], z_tests: &mut usize) -> bool {
-    *z_tests += last + 1 - first;
-    image.front(y, [first, last]).passing(0, &depth.row(y)[first..=last]) > 0
-}
-
-fn answer(depth: &DepthBuffer, z_tests: usize, seen: bool) -> (bool, QueryCost) {
+    let seen = image.rows().any(|(y, columns)| {
+        let [first, last] = columns;
+        z_tests += last + 1 - first;
+        image.front(y, columns).passing(0, &depth.row(y)[first..=last]) > 0
+    });
     depth.count_query(z_tests, seen);
     (seen, QueryCost { passes: 1, z_tests: z_tests as u64, read_back: 1 })
 }
+
+/// The same after a look at the pixel in the middle and those of the corners (Staneker et al. 2003, §6.1), where there are so many rows that
+/// these are next to nothing beside them. Most of what is seen at all is seen there.
+pub(crate) fn test_ahead(depth: &DepthBuffer, image: &BoxImage) -> (bool, QueryCost) {
+    let before = depth.z_tests();
+    if image.y[1] - image.y[0] >= AHEAD_ROWS && few_pixels_pass(depth, image, CORNER_ROWS) {
+        return (true, QueryCost { passes: 1, z_tests: depth.z_tests() - before, read_back: 1 });
+    }
+    let (seen, cost) = test_image(depth, image);
+    (seen, QueryCost { z_tests: depth.z_tests() - before, ..cost })
+}
+
+/// Boxes of fewer rows are as soon looked at from the top.
+const AHEAD_ROWS: i32 = 8;
 
 impl QueryBackEnd for OneAtATimeQuery {
     fn begin(&mut self, view: &View) {

@@ -54,6 +54,9 @@ impl Marks for () {
     fn end(&mut self) {}
 }
 
+/// Radius of a disc that holds the centre of the pixel in which its middle is, with room for rounding.
+const MIDDLE_PX: f64 = 0.75;
+
 /// No tile.
 const NO_TILES: [usize; 4] = [usize::MAX, 0, usize::MAX, 0];
 
@@ -244,6 +247,18 @@ impl DepthBuffer {
         Place::In { x: x.map(|x| x as usize), y: y.map(|y| y as usize), z }
     }
 
+    /// The pixel of the middle of a box, if its centre certainly shows the box as long as nothing was drawn there. Around the middle a disc
+    /// that faces the eye lies in the box, as wide as the box is thick; the pixel's centre is at most 0.71 px from the disc's.
+    pub(crate) fn middle_pixel(&self, aabb: &Aabb) -> Option<[usize; 2]> {
+        let projector = &self.projector;
+        let ViewPoint { x: right, y: up, w } = projector.view_point(aabb.centre());
+        let per_metre = projector.focal_px / w;
+        let is_wide = w > projector.near && aabb.size().min_element() * 0.5 * per_metre > MIDDLE_PX;
+        let (x, y) = (projector.middle[0] + right * per_metre, projector.middle[1] - up * per_metre);
+        let is_inside = x >= 0.0 && x < f64::from(projector.width) && y >= 0.0 && y < f64::from(projector.height);
+        (is_wide && is_inside && !self.blind).then_some([x as usize, y as usize])
+    }
+
     /// Whether a sealed face hides what is beyond it: see `seal.rs`.
     pub(crate) fn believes(&self, seal: &SealedFace<'_>) -> bool {
         !self.blind && seal::holds(&self.projector, seal, |x, y| self.depths[y * self.tiles_x * TILE + x])
@@ -259,6 +274,9 @@ impl DepthBuffer {
 
     /// [`DepthBuffer::sees`] for a box of which a map may know that it is.
     pub(crate) fn sees_past(&self, map: &OccupancyMap, aabb: &Aabb) -> bool {
+        if map.shows_middle(self, aabb) {
+            return true;
+        }
         match self.place(aabb) {
             Place::Outside => false,
             Place::Touching => true,
@@ -381,13 +399,13 @@ impl DepthBuffer {
         match self.place(aabb) {
             Place::Outside => BoxPlace::Outside,
             Place::Touching => BoxPlace::Touching,
-            Place::In { x, y, z } => BoxPlace::In(BoxRectangle { x, y, z }),
+            Place::In { x, y, z } => BoxPlace::In(BoxRectangle { x: x.map(|x| x as u16), y: y.map(|y| y as u16), z }),
         }
     }
 
     /// The image of a box whose rectangle is known.
-    pub(crate) fn box_image(&self, aabb: &Aabb, BoxRectangle { x, y, z }: BoxRectangle) -> BoxImage {
-        BoxImage::new(&self.projector, aabb, x, y, z)
+    pub(crate) fn box_image(&self, aabb: &Aabb, rectangle: BoxRectangle) -> BoxImage {
+        BoxImage::new(&self.projector, aabb, rectangle.x(), rectangle.y(), rectangle.z)
     }
 
     /// What an image with everything rounded outward shows of a box.
@@ -413,9 +431,20 @@ fn centres(range: [f64; 2], spread: f64, size: i32) -> [i32; 2] {
 /// Columns and rows of pixels, first and last, that may show a box, which is no nearer than a reversed depth.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BoxRectangle {
-    pub(crate) x: [usize; 2],
-    pub(crate) y: [usize; 2],
+    /// Images are at most 65,536 pixels wide and high ([`View::check`]): many rectangles are kept, and looked up out of order.
+    x: [u16; 2],
+    y: [u16; 2],
     z: f32,
+}
+
+impl BoxRectangle {
+    pub(crate) fn x(&self) -> [usize; 2] {
+        self.x.map(usize::from)
+    }
+
+    pub(crate) fn y(&self) -> [usize; 2] {
+        self.y.map(usize::from)
+    }
 }
 
 /// Where a box is in an image, rounded outward: see [`DepthBuffer::box_on_image`].
