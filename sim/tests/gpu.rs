@@ -54,8 +54,8 @@ mod with_gpu {
         assert!(output.status.success(), "{text} {}", String::from_utf8_lossy(&output.stderr));
         let report = report(&out);
         let rows = report["rows"].as_array().unwrap();
-        // One of the CPU; six ways of asking one by one, five in batches, and the pyramid's octree.
-        assert_eq!(rows.len(), 1 + 6 + 5 + 1, "{text}");
+        // One of the CPU; seven ways of asking one by one, six in batches, and the pyramid's octree.
+        assert_eq!(rows.len(), 1 + 7 + 6 + 1, "{text}");
         for row in rows {
             assert_eq!(
                 (&row["ok"], &row["wrong_pixels_max"], &row["lost_visible"]),
@@ -70,9 +70,38 @@ mod with_gpu {
         assert_eq!(kept("gpu-per-fragment"), kept("gpu-item-buffer"));
         let titles: Vec<&str> =
             report["plots"].as_array().unwrap().iter().map(|plot| plot["title"].as_str().unwrap()).collect();
-        for title in ["Time per query over the size of its box", "Time per query over the size of the image"] {
+        for title in [
+            "Time per query over the size of its box",
+            "Time per query over the size of the image",
+            "Steps of a query by the size of its image",
+        ] {
             assert!(titles.iter().any(|known| known.starts_with(title)), "{titles:?}");
         }
+        // cPLP's Table 2, for each way that is taken apart, and marked where its times say nothing.
+        let split: Vec<&str> = text.lines().filter(|line| line.contains("cPLP's table 2 (µs)")).collect();
+        assert!(split.len() >= 3 && split[0].starts_with("gpu-item-buffer"), "{text}");
+        for line in &split {
+            for part in ["64x64 drawing", "512x512 drawing", "transfer", "scan", "total"] {
+                assert!(line.contains(part), "{line}");
+            }
+            assert_eq!(
+                line.contains(SOFTWARE),
+                text.contains("the papers' ratios are checked on a real adapter"),
+                "{line}"
+            );
+        }
+        // What is read back: a whole image a pass, its open tiles, or a number for each box. The CPU reads nothing of an adapter.
+        let of = |culler: &str, query: &str, column: &str| {
+            let row = rows.iter().find(|row| row["culler"] == culler && (query.is_empty() || row["query"] == query));
+            row.unwrap()[column].as_f64()
+        };
+        let gpu = |query: &str, column: &str| of("gpu-cplp", query, column).unwrap();
+        assert_eq!(of("cplp", "", "read_back_bytes"), None);
+        assert_eq!(gpu("gpu-item-buffer", "read_back"), 64.0 * 48.0 * gpu("gpu-item-buffer", "passes"));
+        assert_eq!(gpu("gpu-item-buffer", "read_back_bytes"), 4.0 * gpu("gpu-item-buffer", "read_back"));
+        // An image of one tile.
+        assert!(gpu("gpu-item-buffer-tiled", "read_back_bytes") <= gpu("gpu-item-buffer", "read_back_bytes"));
+        assert!(gpu("gpu-per-fragment", "read_back_bytes") * 10.0 < gpu("gpu-item-buffer", "read_back_bytes"));
         // Nobody is told that a processor in the place of a GPU is fast.
         let fastest = report["headline"].as_str().unwrap().split("Fastest").nth(1).unwrap();
         assert!(!(text.contains(SOFTWARE) && fastest.contains("gpu-")), "{fastest}");

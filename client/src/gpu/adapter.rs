@@ -6,6 +6,8 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use eyeline_visibility::Resolution;
+
 /// Why nothing can be drawn.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -98,6 +100,15 @@ pub enum AdapterChoice {
 enum Fault {
     OutOfMemory(String),
     Refused(String),
+}
+
+impl From<wgpu::Error> for Fault {
+    fn from(error: wgpu::Error) -> Fault {
+        match error {
+            wgpu::Error::OutOfMemory { source } => Fault::OutOfMemory(source.to_string()),
+            other => Fault::Refused(other.to_string()),
+        }
+    }
 }
 
 /// Shared with the driver's callbacks.
@@ -213,11 +224,7 @@ impl Gpu {
         });
         let refused = Arc::clone(&faults);
         device.on_uncaptured_error(Arc::new(move |error| {
-            let fault = match error {
-                wgpu::Error::OutOfMemory { source } => Fault::OutOfMemory(source.to_string()),
-                other => Fault::Refused(other.to_string()),
-            };
-            keep(&refused, fault);
+            keep(&refused, Fault::from(error));
         }));
         Ok(Gpu { instance, adapter, device, queue, name, faults })
     }
@@ -244,19 +251,11 @@ impl Gpu {
     /// What the driver said went wrong since the last call. After [`GpuError::Lost`] nothing works any more, and each call says so.
     pub fn check(&self) -> Result<(), GpuError> {
         let fault = self.faults.first.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let adapter = self.name.clone();
         if fault.is_some() && self.faults.lost().is_none() {
             // A loss is told by a callback of its own, which the next poll makes, and says more than what it leads to.
             let _ = self.device.poll(wgpu::PollType::Poll);
         }
-        if let Some(reason) = self.faults.lost() {
-            return Err(GpuError::Lost { adapter, reason });
-        }
-        match fault {
-            None => Ok(()),
-            Some(Fault::OutOfMemory(what)) => Err(GpuError::OutOfMemory { adapter, what }),
-            Some(Fault::Refused(reason)) => Err(GpuError::Refused { adapter, reason }),
-        }
+        verdict(&self.name, self.faults.lost(), fault)
     }
 
     /// What an error that a call returned, and no callback told, comes to: a loss, if that is behind it.
@@ -280,28 +279,90 @@ impl Gpu {
     /// # Errors
     /// If it is larger than the adapter takes.
     pub fn empty_buffer(&self, what: &str, usage: wgpu::BufferUsages, bytes: u64) -> Result<wgpu::Buffer, GpuError> {
-        self.check_buffer(what, bytes)?;
+        self.check_buffer(what, usage, bytes)?;
         let size = bytes.max(16).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
         let descriptor = wgpu::BufferDescriptor { label: Some(what), size, usage, mapped_at_creation: false };
         Ok(self.device.create_buffer(&descriptor))
     }
 
-    /// Whether a buffer may be so large.
+    /// Whether a buffer for this use may be so large.
     ///
     /// # Errors
     /// If not.
-    pub fn check_buffer(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
-        let limit = self.device.limits().max_buffer_size;
+    pub fn check_buffer(&self, what: &str, usage: wgpu::BufferUsages, bytes: u64) -> Result<(), GpuError> {
+        let (name, limit) = self.buffer_limit(usage);
         if bytes <= limit {
             return Ok(());
         }
         Err(GpuError::TooLarge {
             what: what.into(),
-            size: format!("{} MiB", bytes >> 20),
+            size: amount(bytes),
             adapter: self.name.clone(),
-            limit: format!("{} MiB", limit >> 20),
-            remedy: "take a smaller scene",
+            limit: format!("{name} is {}", amount(limit)),
+            remedy: "take a smaller scene or another adapter",
         })
+    }
+
+    /// The limit that a buffer for this use meets first, and how many bytes it allows. Shaders are given buffers whole.
+    pub(super) fn buffer_limit(&self, usage: wgpu::BufferUsages) -> (&'static str, u64) {
+        let limits = self.device.limits();
+        let whole = ("max_buffer_size", limits.max_buffer_size);
+        let storage = ("max_storage_buffer_binding_size", limits.max_storage_buffer_binding_size);
+        let uniform = ("max_uniform_buffer_binding_size", limits.max_uniform_buffer_binding_size);
+        let is_met = |of| usage.contains(of);
+        let bound = [(is_met(wgpu::BufferUsages::STORAGE), storage), (is_met(wgpu::BufferUsages::UNIFORM), uniform)];
+        let met = bound.into_iter().filter(|(is_met, _)| *is_met).map(|(_, limit)| limit);
+        met.fold(whole, |least, limit| if limit.1 < least.1 { limit } else { least })
+    }
+
+    /// A texture of an image's size, without mipmaps.
+    ///
+    /// # Errors
+    /// If the adapter takes no image of that size.
+    pub fn texture(
+        &self,
+        what: &str,
+        resolution: Resolution,
+        format: wgpu::TextureFormat,
+        usage: wgpu::TextureUsages,
+    ) -> Result<wgpu::Texture, GpuError> {
+        let Resolution { width, height } = resolution;
+        let limit = self.device.limits().max_texture_dimension_2d;
+        if width.max(height) > limit {
+            return Err(GpuError::TooLarge {
+                what: format!("an image ({what})"),
+                size: format!("{width}x{height} pixels"),
+                adapter: self.name.clone(),
+                limit: format!("max_texture_dimension_2d is {limit} a side"),
+                remedy: "take a smaller one",
+            });
+        }
+        Ok(self.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some(what),
+            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage,
+            view_formats: &[],
+        }))
+    }
+}
+
+/// Bytes for people: small limits would all be 0 MiB.
+fn amount(bytes: u64) -> String {
+    if bytes < 10 << 20 { format!("{bytes} bytes") } else { format!("{} MiB", bytes >> 20) }
+}
+
+/// What people are told: a loss says more than what it leads to.
+fn verdict(adapter: &str, lost: Option<String>, fault: Option<Fault>) -> Result<(), GpuError> {
+    let adapter = adapter.to_owned();
+    match (lost, fault) {
+        (Some(reason), _) => Err(GpuError::Lost { adapter, reason }),
+        (None, Some(Fault::OutOfMemory(what))) => Err(GpuError::OutOfMemory { adapter, what }),
+        (None, Some(Fault::Refused(reason))) => Err(GpuError::Refused { adapter, reason }),
+        (None, None) => Ok(()),
     }
 }
 
@@ -322,5 +383,48 @@ fn rank(adapter: &wgpu::Adapter) -> u32 {
         wgpu::DeviceType::VirtualGpu => 2,
         wgpu::DeviceType::Other => 3,
         wgpu::DeviceType::Cpu => 4,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loss_comes_before_what_it_leads_to_and_full_memory_has_a_remedy() {
+        let full = || Fault::from(wgpu::Error::OutOfMemory { source: "buffer 'triangles'".into() });
+        assert!(verdict("a card", None, None).is_ok());
+        let lost = verdict("a card", Some("it was taken out".into()), Some(full())).unwrap_err();
+        assert!(
+            matches!(&lost, GpuError::Lost { adapter, reason } if adapter == "a card" && reason == "it was taken out")
+        );
+        let error = verdict("a card", None, Some(full())).unwrap_err();
+        assert!(matches!(error, GpuError::OutOfMemory { .. }), "{error:?}");
+        let text = error.to_string();
+        assert!(["a card", "triangles", "smaller scene or window"].iter().all(|word| text.contains(word)), "{text}");
+        let other = wgpu::Error::Validation { source: "x".into(), description: "no such layout".into() };
+        let refused = verdict("a card", None, Some(other.into())).unwrap_err();
+        assert!(
+            matches!(&refused, GpuError::Refused { reason, .. } if reason.contains("no such layout")),
+            "{refused:?}"
+        );
+    }
+
+    #[test]
+    fn the_first_fault_is_kept_and_a_loss_for_good() {
+        let faults = Faults::default();
+        keep(&faults, Fault::Refused("first".into()));
+        keep(&faults, Fault::OutOfMemory("second".into()));
+        let first = faults.first.lock().unwrap().take();
+        assert!(matches!(first, Some(Fault::Refused(reason)) if reason == "first"));
+        *faults.lost.lock().unwrap() = Some("gone".into());
+        assert_eq!([faults.lost(), faults.lost()], [Some("gone".to_owned()), Some("gone".to_owned())]);
+    }
+
+    #[test]
+    fn small_amounts_are_told_to_the_byte() {
+        assert_eq!(amount(0), "0 bytes");
+        assert_eq!(amount(288_000), "288000 bytes");
+        assert_eq!(amount(256 << 20), "256 MiB");
     }
 }

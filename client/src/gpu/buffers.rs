@@ -24,8 +24,8 @@ impl Growing {
             return Ok(false);
         }
         // By half more, lest what grows slowly be allocated anew each time; but the limit is on what is needed.
-        gpu.check_buffer(self.label, bytes)?;
-        let limit = gpu.device.limits().max_buffer_size & !15;
+        gpu.check_buffer(self.label, self.usage, bytes)?;
+        let limit = gpu.buffer_limit(self.usage).1 & !15;
         let roomy = (bytes * 3 / 2).clamp(1 << 12, limit.max(bytes));
         self.buffer = Some(gpu.empty_buffer(self.label, self.usage, roomy)?);
         Ok(true)
@@ -131,33 +131,32 @@ pub(super) fn wait(
     }
 }
 
-/// A texture of an image's size.
-pub(super) fn texture(
-    gpu: &Gpu,
-    what: &'static str,
-    resolution: eyeline_visibility::Resolution,
-    format: wgpu::TextureFormat,
-    usage: wgpu::TextureUsages,
-) -> Result<wgpu::Texture, GpuError> {
-    let (width, height) = (resolution.width, resolution.height);
-    let limit = gpu.device.limits().max_texture_dimension_2d;
-    if width.max(height) > limit {
-        return Err(GpuError::TooLarge {
-            what: "an image".into(),
-            size: format!("{width}x{height} pixels"),
-            adapter: gpu.name().to_owned(),
-            limit: format!("{limit} a side"),
-            remedy: "take a smaller one",
-        });
+impl Gpu {
+    /// The texels of a texture of four bytes a texel, row by row from the top and without gaps. Waits for them.
+    ///
+    /// # Errors
+    /// If the adapter takes no buffer of that size, or what its driver says.
+    pub fn read_texture(&self, texture: &wgpu::Texture) -> Result<Vec<u8>, GpuError> {
+        let bytes_per_texel = texture.format().block_copy_size(None);
+        debug_assert_eq!(bytes_per_texel, Some(4), "{:?}", texture.format());
+        let used = 4 * texture.width();
+        let row = used.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+        let mut read_back = ReadBack::default();
+        let buffer = read_back.prepare(self, u64::from(row) * u64::from(texture.height()))?;
+        let label = Some("read back");
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
+        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row), rows_per_image: None };
+        let to = wgpu::TexelCopyBufferInfo { buffer, layout };
+        encoder.copy_texture_to_buffer(texture.as_image_copy(), to, texture.size());
+        let submission = self.queue.submit([encoder.finish()]);
+        read_back.request();
+        wait(self, &submission, None)?;
+        let texels = read_back.read(self, |bytes| {
+            bytes.chunks_exact(row as usize).flat_map(|row| &row[..used as usize]).copied().collect()
+        })?;
+        texels.ok_or_else(|| GpuError::Refused {
+            adapter: self.name().to_owned(),
+            reason: "a finished picture could not be read back".into(),
+        })
     }
-    Ok(gpu.device.create_texture(&wgpu::TextureDescriptor {
-        label: Some(what),
-        size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format,
-        usage,
-        view_formats: &[],
-    }))
 }

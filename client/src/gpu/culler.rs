@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Bound, Budget, Cplp, CplpScratch, Culled, EyeRegion, Occlusion, Occupancy, OccupancyQuery, Octree, OctreeRounds,
-    QueryBackEnd, RoundsTraversal, Scene, View,
+    Aabb, Bound, Budget, Cplp, CplpScratch, Culled, EyeRegion, Occlusion, Occupancy, OccupancyQuery, Octree,
+    OctreeRounds, QueryBackEnd, RoundsTraversal, Scene, View,
 };
+use glam::DVec3;
 
 use super::{GpuError, GpuQuery};
 
@@ -139,7 +140,31 @@ impl GpuCuller {
         self.back_end.query()
     }
 
-    /// What the last view knows of moving bounds: depths are on the adapter, so only what is out of view is hidden.
+    /// Which of these bounds the depths of the last cull hide on the adapter, all asked at once: one answer per bound. A bound is asked
+    /// about as a box around it; where nothing is known of it, or of the view, it is not hidden.
+    ///
+    /// A tracker does not ask here: it walks a tree of bounds, each answer deciding what it asks next, for a ball of eyes and not for one.
+    ///
+    /// # Errors
+    /// What is wrong with the adapter. Nothing is known to be hidden then.
+    pub fn hidden(&mut self, bounds: &[Bound], hidden: &mut Vec<bool>) -> Result<(), GpuError> {
+        hidden.clear();
+        hidden.resize(bounds.len(), false);
+        if !self.speaks {
+            return Ok(());
+        }
+        // What has no box is asked about as one without numbers, which counts as seen.
+        let nowhere = Aabb { min: DVec3::NAN, max: DVec3::NAN };
+        let boxes: Vec<Aabb> = bounds.iter().map(|bound| bound.outer_box().unwrap_or(nowhere)).collect();
+        let query = self.back_end.query_mut();
+        let mut seen = Vec::new();
+        query.query(&boxes, &mut seen);
+        query.check()?;
+        hidden.iter_mut().zip(seen).for_each(|(hidden, seen)| *hidden = !seen);
+        Ok(())
+    }
+
+    /// What the last view knows of moving bounds without asking the adapter: depths are on the adapter, so only what is out of view is hidden.
     pub fn occlusion(&self) -> &dyn Occlusion {
         if self.speaks { self.back_end.query().depth() } else { &NothingHidden }
     }

@@ -6,7 +6,7 @@ use eyeline_visibility::{Aabb, DepthBuffer, Resolution, Sides, View};
 use glam::DVec3;
 
 use super::boxes::{self, NEARER, Place};
-use super::buffers::{Growing, texture};
+use super::buffers::Growing;
 use super::{Gpu, GpuError, GpuScene};
 
 /// Reversed, so that precision is spread evenly over distances.
@@ -224,7 +224,7 @@ impl GpuImage {
         if self.depth.as_ref().is_none_or(|(of, _)| *of != resolution) {
             let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
             self.depth = None;
-            let texture = texture(&self.gpu, "depths", resolution, DEPTH, usage)?;
+            let texture = self.gpu.texture("depths", resolution, DEPTH, usage)?;
             self.depth = Some((resolution, texture.create_view(&wgpu::TextureViewDescriptor::default())));
         }
         self.camera.look(&self.gpu, view);

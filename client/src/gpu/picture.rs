@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use eyeline_visibility::{ItemBuffer, Resolution, Sides, View};
 
-use super::buffers::{Growing, ReadBack, texture, wait};
+use super::buffers::Growing;
 use super::image::{Camera, DEPTH, Drawing, ITEMS, draw_runs};
 use super::{Gpu, GpuError, GpuScene};
 
@@ -16,7 +16,6 @@ pub struct GpuPicture {
     camera: Camera,
     pipelines: [wgpu::RenderPipeline; 2],
     indices: Growing,
-    read_back: ReadBack,
     images: Option<(Resolution, wgpu::Texture, wgpu::TextureView)>,
 }
 
@@ -36,7 +35,7 @@ impl GpuPicture {
         });
         gpu.check()?;
         let indices = Growing::new("items", wgpu::BufferUsages::INDEX);
-        Ok(GpuPicture { gpu, scene, camera, pipelines, indices, read_back: ReadBack::default(), images: None })
+        Ok(GpuPicture { gpu, scene, camera, pipelines, indices, images: None })
     }
 
     /// Draws primitives, which must ascend, and reads back the winner of each pixel, row by row from the top, or
@@ -53,8 +52,8 @@ impl GpuPicture {
         let gpu = &*self.gpu;
         if self.images.as_ref().is_none_or(|(of, ..)| *of != resolution) {
             let usage = wgpu::TextureUsages::RENDER_ATTACHMENT;
-            let items = texture(gpu, "items", resolution, ITEMS, usage | wgpu::TextureUsages::COPY_SRC)?;
-            let depth = texture(gpu, "depths", resolution, DEPTH, usage)?;
+            let items = gpu.texture("items", resolution, ITEMS, usage | wgpu::TextureUsages::COPY_SRC)?;
+            let depth = gpu.texture("depths", resolution, DEPTH, usage)?;
             self.images = Some((resolution, items, depth.create_view(&wgpu::TextureViewDescriptor::default())));
         }
         let Some((_, items, depth)) = &self.images else { unreachable!("made above") };
@@ -74,17 +73,8 @@ impl GpuPicture {
         });
         draw_runs(&mut pass, &self.camera, &self.scene, indices, &runs, &self.pipelines);
         drop(pass);
-        let row = copy_items(gpu, &mut encoder, items, resolution, &mut self.read_back)?;
-        let submission = gpu.queue.submit([encoder.finish()]);
-        self.read_back.request();
-        wait(gpu, &submission, None)?;
-        let ids = self
-            .read_back
-            .read(gpu, |bytes| rows_of(bytes, row, resolution).flatten().copied().collect::<Vec<u32>>())?;
-        ids.ok_or_else(|| GpuError::Refused {
-            adapter: gpu.name().to_owned(),
-            reason: "a finished picture could not be read back".into(),
-        })
+        gpu.queue.submit([encoder.finish()]);
+        Ok(bytemuck::pod_collect_to_vec(&gpu.read_texture(items)?))
     }
 
     /// The ids that own a pixel, ascending, each once: of everything drawn, the exact set of this adapter.
@@ -105,25 +95,4 @@ pub(super) fn cleared(view: &wgpu::TextureView) -> wgpu::RenderPassColorAttachme
         resolve_target: None,
         ops: wgpu::Operations { load: wgpu::LoadOp::Clear(nothing), store: wgpu::StoreOp::Store },
     }
-}
-
-/// Has an item buffer copied to where it can be read; returns bytes per row there.
-pub(super) fn copy_items(
-    gpu: &Gpu,
-    encoder: &mut wgpu::CommandEncoder,
-    items: &wgpu::Texture,
-    resolution: Resolution,
-    to: &mut ReadBack,
-) -> Result<usize, GpuError> {
-    let row = (4 * resolution.width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
-    let buffer = to.prepare(gpu, u64::from(row) * u64::from(resolution.height))?;
-    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row), rows_per_image: None };
-    encoder.copy_texture_to_buffer(items.as_image_copy(), wgpu::TexelCopyBufferInfo { buffer, layout }, items.size());
-    Ok(row as usize)
-}
-
-/// The rows of a copied item buffer.
-pub(super) fn rows_of(bytes: &[u8], row: usize, resolution: Resolution) -> impl Iterator<Item = &[u32]> {
-    let width = resolution.width as usize;
-    bytes.chunks_exact(row).map(move |row| &bytemuck::cast_slice::<u8, u32>(row)[..width])
 }

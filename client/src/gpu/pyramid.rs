@@ -3,7 +3,7 @@
 use eyeline_visibility::Resolution;
 
 use super::boxes::Drawable;
-use super::buffers::{Growing, ReadBack};
+use super::buffers::Growing;
 use super::{Gpu, GpuError};
 
 /// A pyramid over the depths of an image.
@@ -100,7 +100,7 @@ impl Pyramid {
         Ok(levels)
     }
 
-    /// Has the pyramid made anew, if the image has `changed`, and boxes asked about; their answers, a word each, copied to `to`.
+    /// Has the pyramid made anew, if the image has `changed`, and boxes asked about.
     pub(super) fn encode(
         &mut self,
         gpu: &Gpu,
@@ -108,7 +108,6 @@ impl Pyramid {
         (resolution, depths): (Resolution, &wgpu::TextureView),
         changed: bool,
         asked: &[Drawable],
-        to: &mut ReadBack,
     ) -> Result<(), GpuError> {
         let count = asked.len() as u32;
         let boxes: Vec<AskedBox> = asked
@@ -141,10 +140,11 @@ impl Pyramid {
         pass.set_bind_group(0, &levels.groups[1], &[]);
         pass.set_bind_group(1, &answers, &[]);
         pass.dispatch_workgroups(count.div_ceil(64), 1, 1);
-        drop(pass);
-        let bytes = 4 * u64::from(count);
-        let buffer = to.prepare(gpu, bytes)?;
-        encoder.copy_buffer_to_buffer(self.seen.get(), 0, buffer, 0, bytes);
         Ok(())
+    }
+
+    /// The answers, a word for each box.
+    pub(super) fn answers(&self) -> &wgpu::Buffer {
+        self.seen.get()
     }
 }

@@ -3,7 +3,8 @@
 //! | kind | as in | passes | read back |
 //! |---|---|---|---|
 //! | [`GpuQueryKind::ItemBuffer`] | cPLP §3.2 | until one shows no new box | the image |
-//! | [`GpuQueryKind::Histogram`] | cPLP §3.3 | the same | a count per box |
+//! | [`GpuQueryKind::ItemBufferTiled`] | cPLP §3.4 | the same | tiles of it that are not finished |
+//! | [`GpuQueryKind::Histogram`] | cPLP §3.3 | as for item buffers | a count per box |
 //! | [`GpuQueryKind::OcclusionQueries`] | cPLP §3.1, Staneker §2 | one | a count per box |
 //! | [`GpuQueryKind::OneAtATime`] | cPLP §3.1 | one per box | a count |
 //! | [`GpuQueryKind::PerFragment`] | cPLP §3.6, proposed there | one | a count per box |
@@ -18,69 +19,15 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use eyeline_visibility::{Aabb, DepthBuffer, OccupancyMap, QueryBackEnd, QueryCost, Scene, View};
+use eyeline_visibility::{
+    Aabb, DepthBuffer, OccupancyMap, PixelRect, QueryBackEnd, QueryCost, Resolution, Scene, View,
+};
 
 use super::boxes::{Drawable, Place};
 use super::buffers::{ReadBack, wait};
+use super::tiles::Tiles;
 use super::ways::Way;
-use super::{Gpu, GpuError, GpuImage, GpuScene};
-
-/// How an adapter is asked.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum GpuQueryKind {
-    /// Boxes in colours, and the image read back; again without those that appeared.
-    ItemBuffer,
-    /// The same, with colours counted by a compute shader.
-    Histogram,
-    /// The hardware's occlusion queries, up to 4,096 in a pass.
-    OcclusionQueries,
-    /// The same, one box at a time, each answer waited for.
-    OneAtATime,
-    /// Fragments that pass counted by the fragment shader: the extension that the paper proposed.
-    PerFragment,
-    /// Rectangles against a pyramid of farthest depths.
-    ZPyramid,
-}
-
-impl GpuQueryKind {
-    /// All of them.
-    pub const ALL: [GpuQueryKind; 6] = [
-        GpuQueryKind::ItemBuffer,
-        GpuQueryKind::Histogram,
-        GpuQueryKind::OcclusionQueries,
-        GpuQueryKind::OneAtATime,
-        GpuQueryKind::PerFragment,
-        GpuQueryKind::ZPyramid,
-    ];
-
-    /// Its name in reports and on command lines.
-    pub const fn name(self) -> &'static str {
-        match self {
-            GpuQueryKind::ItemBuffer => "gpu-item-buffer",
-            GpuQueryKind::Histogram => "gpu-histogram",
-            GpuQueryKind::OcclusionQueries => "gpu-occlusion-queries",
-            GpuQueryKind::OneAtATime => "gpu-one-at-a-time",
-            GpuQueryKind::PerFragment => "gpu-per-fragment",
-            GpuQueryKind::ZPyramid => "gpu-z-pyramid",
-        }
-    }
-
-    /// The kind of that name.
-    pub fn from_name(name: &str) -> Option<GpuQueryKind> {
-        GpuQueryKind::ALL.into_iter().find(|kind| kind.name() == name)
-    }
-
-    /// Whether a pass shows only what no other box of it hides, so that it is repeated.
-    const fn repeats(self) -> bool {
-        matches!(self, GpuQueryKind::ItemBuffer | GpuQueryKind::Histogram)
-    }
-}
-
-impl std::fmt::Display for GpuQueryKind {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
-    }
-}
+use super::{Gpu, GpuError, GpuImage, GpuQueryKind, GpuScene, GpuStep};
 
 /// What a back end did since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -112,6 +59,8 @@ pub struct GpuQuery {
     left: Vec<u32>,
     drawables: Vec<Drawable>,
     cost: QueryCost,
+    /// Whether the query is about a whole front whose boxes are all drawn, so that it may finish tiles.
+    finishes: bool,
     under_way: Option<wgpu::SubmissionIndex>,
 }
 
@@ -137,6 +86,7 @@ impl GpuQuery {
             left: Vec::new(),
             drawables: Vec::new(),
             cost: QueryCost::default(),
+            finishes: false,
             under_way: None,
         })
     }
@@ -176,6 +126,12 @@ impl GpuQuery {
 
     /// Asks which of the boxes can be seen past what was drawn, and does not wait. An earlier query that was not taken is given up.
     pub fn submit(&mut self, cells: &[Aabb]) {
+        self.place(cells, false);
+        self.go_on();
+    }
+
+    /// Starts a query: says which boxes must be drawn.
+    fn place(&mut self, cells: &[Aabb], whole_front: bool) {
         self.under_way = None;
         self.cost = QueryCost::default();
         self.seen.clear();
@@ -191,8 +147,20 @@ impl GpuQuery {
                 self.drawables.push(drawable);
             }
         }
-        if !self.left.is_empty() {
+        self.way.ask(whole_front);
+        // A box that touches the near plane is not drawn: it may be what can be seen in any tile.
+        self.finishes = whole_front && self.fault.is_none() && !self.seen.contains(&true);
+    }
+
+    /// Makes the next pass if one can show anything; else what no pass showed is hidden.
+    fn go_on(&mut self) {
+        if !self.left.is_empty() && self.way.is_active() {
             self.pass();
+            return;
+        }
+        self.left.clear();
+        if self.finishes {
+            self.way.finish();
         }
     }
 
@@ -221,11 +189,79 @@ impl GpuQuery {
         self.cost
     }
 
+    /// Submits and waits, within the patience.
+    fn answer(&mut self, cells: &[Aabb], whole_front: bool, seen: &mut Vec<bool>) -> QueryCost {
+        if self.kind == GpuQueryKind::OneAtATime && cells.len() > 1 {
+            let mut total = QueryCost::default();
+            let (mut all, mut counts) = (Vec::with_capacity(cells.len()), Vec::with_capacity(cells.len()));
+            for cell in cells {
+                total += self.query(std::slice::from_ref(cell), seen);
+                all.append(seen);
+                counts.append(&mut self.counts);
+            }
+            (*seen, self.counts) = (all, counts);
+            return total;
+        }
+        self.place(cells, whole_front);
+        self.go_on();
+        while let Some(submission) = self.under_way.clone() {
+            if let Err(error) = wait(&self.image.gpu, &submission, self.patience) {
+                self.fail(error);
+            }
+            let passes = self.cost.passes;
+            self.look();
+            if self.under_way.is_some() && self.cost.passes == passes {
+                break;
+            }
+        }
+        self.take(seen)
+    }
+
+    /// Makes one pass about boxes, waits for each part of it before the next, and calls `done` after each, so that a driver can clock
+    /// them. Nothing is told of the boxes.
+    ///
+    /// # Errors
+    /// What is wrong with the adapter, or that there is nothing to draw: no box is before the eye.
+    pub fn step_by_step(&mut self, cells: &[Aabb], mut done: impl FnMut(GpuStep)) -> Result<QueryCost, GpuError> {
+        self.check()?;
+        self.place(cells, false);
+        let gpu = Arc::clone(&self.image.gpu);
+        let (total, label) = (self.drawables.len(), Some(self.kind.name()));
+        let refused = |reason: &str| GpuError::Refused { adapter: gpu.name().to_owned(), reason: reason.to_owned() };
+        if total == 0 {
+            return Err(refused("no box can be drawn"));
+        }
+        let encoder = || gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
+        let mut drawing = encoder();
+        let changed = self.image.encode(&mut drawing)?;
+        self.way.draw(&mut drawing, &self.image, changed, &self.drawables)?;
+        wait(&gpu, &gpu.queue.submit([drawing.finish()]), None)?;
+        done(GpuStep::Draw);
+        let mut copying = encoder();
+        self.way.collect(&mut copying, &self.image, total, &mut self.read_back)?;
+        let submission = gpu.queue.submit([copying.finish()]);
+        self.read_back.request();
+        wait(&gpu, &submission, None)?;
+        let bytes = self.read_back.read(&gpu, <[u8]>::to_vec)?;
+        let bytes = bytes.ok_or_else(|| refused("a finished pass could not be read back"))?;
+        done(GpuStep::Transfer);
+        let mut shown = 0_u64;
+        let read_back = self.way.read(&bytes, total, |_, count| shown += u64::from(count));
+        std::hint::black_box(shown);
+        done(GpuStep::Scan);
+        self.left.clear();
+        self.stats.submits += 2;
+        self.stats.boxes += total as u64;
+        self.stats.bytes += bytes.len() as u64;
+        Ok(QueryCost { passes: 1, read_back, ..QueryCost::default() })
+    }
+
     /// Everything that is open counts as visible from now on.
     fn fail(&mut self, error: GpuError) {
         // The first says most.
         self.fault.get_or_insert(error);
         self.under_way = None;
+        self.finishes = false;
         self.left.clear();
         self.seen.fill(true);
         self.counts.fill(u32::MAX);
@@ -253,7 +289,8 @@ impl GpuQuery {
         let descriptor = wgpu::CommandEncoderDescriptor { label: Some(self.kind.name()) };
         let mut encoder = gpu.device.create_command_encoder(&descriptor);
         let changed = self.image.encode(&mut encoder)?;
-        self.way.encode(&mut encoder, &self.image, changed, &self.drawables, &mut self.read_back)?;
+        self.way.draw(&mut encoder, &self.image, changed, &self.drawables)?;
+        self.way.collect(&mut encoder, &self.image, self.drawables.len(), &mut self.read_back)?;
         Ok(gpu.queue.submit([encoder.finish()]))
     }
 
@@ -267,7 +304,7 @@ impl GpuQuery {
             let sum = &mut counts[left[at as usize] as usize];
             *sum = sum.saturating_add(count);
         };
-        let way = &self.way;
+        let way = &mut self.way;
         let read = self.read_back.read(&self.image.gpu, |bytes| (way.read(bytes, left.len(), add), bytes.len()));
         match read {
             Ok(None) => {}
@@ -287,12 +324,10 @@ impl GpuQuery {
                 self.left.retain(|_| *kept.next().expect("one each"));
                 let mut kept = keep.iter();
                 self.drawables.retain(|_| *kept.next().expect("one each"));
-                if self.kind.repeats() && !self.left.is_empty() && self.left.len() < before {
-                    self.pass();
-                } else {
-                    // What no pass showed is hidden.
+                if !self.kind.repeats() || self.left.len() == before {
                     self.left.clear();
                 }
+                self.go_on();
             }
         }
     }
@@ -301,10 +336,12 @@ impl GpuQuery {
 impl QueryBackEnd for GpuQuery {
     fn begin(&mut self, view: &View) {
         self.under_way = None;
-        self.way.forget_if(self.image.view().resolution != view.resolution);
+        let changes = self.image.view().resolution != view.resolution;
         if let Err(error) = self.image.begin(view) {
             self.fail(error);
         }
+        let resolution = self.image.depths().map_or(Resolution::new(0, 0), |(resolution, _)| resolution);
+        self.way.begin(resolution, changes);
     }
 
     fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
@@ -327,29 +364,15 @@ impl QueryBackEnd for GpuQuery {
 
     /// What it costs is [`QueryCost::passes`] and [`QueryCost::read_back`]: an adapter does not say how many depths it compared.
     fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
-        if self.kind == GpuQueryKind::OneAtATime && cells.len() > 1 {
-            let mut total = QueryCost::default();
-            let (mut all, mut counts) = (Vec::with_capacity(cells.len()), Vec::with_capacity(cells.len()));
-            for cell in cells {
-                total += self.query(std::slice::from_ref(cell), seen);
-                all.append(seen);
-                counts.append(&mut self.counts);
-            }
-            (*seen, self.counts) = (all, counts);
-            return total;
-        }
-        self.submit(cells);
-        while let Some(submission) = self.under_way.clone() {
-            if let Err(error) = wait(&self.image.gpu, &submission, self.patience) {
-                self.fail(error);
-            }
-            let passes = self.cost.passes;
-            self.look();
-            if self.under_way.is_some() && self.cost.passes == passes {
-                break;
-            }
-        }
-        self.take(seen)
+        self.answer(cells, false, seen)
+    }
+
+    fn query_front(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
+        self.answer(cells, true, seen)
+    }
+
+    fn finished_tiles(&self) -> Vec<PixelRect> {
+        self.way.tiles().map(Tiles::finished).unwrap_or_default()
     }
 
     fn batch(&self) -> usize {
@@ -358,7 +381,8 @@ impl QueryBackEnd for GpuQuery {
 
     fn is_full(&self) -> bool {
         let view = self.image.view();
-        view.check().is_ok() && view.resolution.pixels() == 0
+        let has_no_pixels = view.check().is_ok() && view.resolution.pixels() == 0;
+        has_no_pixels || self.way.tiles().is_some_and(Tiles::are_finished)
     }
 
     fn depth(&self) -> &DepthBuffer {

@@ -31,7 +31,7 @@ impl GpuScene {
         let triangles = scene.triangles();
         let total = triangles.len() as u64;
         // Before anything is copied: three corners of three numbers each.
-        gpu.check_buffer("triangles", 36 * total)?;
+        gpu.check_buffer("triangles", wgpu::BufferUsages::VERTEX, 36 * total)?;
         if 3 * total > u64::from(u32::MAX) {
             return Err(GpuError::TooLarge {
                 what: "a scene".into(),

@@ -1,12 +1,13 @@
 //! What does each kind of query encode, and how is what comes back read?
 
-use eyeline_visibility::{ItemBuffer, Resolution, Sides};
+use eyeline_visibility::{PixelRect, Resolution, Sides};
 
 use super::boxes::Drawable;
-use super::buffers::{Growing, ReadBack, texture};
+use super::buffers::{Growing, ReadBack};
 use super::image::{BOX_CORNERS, Camera, Drawing, Ends, GpuImage, ITEMS};
-use super::picture::{cleared, copy_items, rows_of};
+use super::picture::cleared;
 use super::pyramid::Pyramid;
+use super::tiles::Tiles;
 use super::{Gpu, GpuError, GpuQueryKind};
 
 /// A kind of query with what it needs on the adapter.
@@ -18,7 +19,7 @@ pub(super) struct Way {
 
 #[derive(Debug)]
 enum How {
-    Items { pipeline: wgpu::RenderPipeline, items: Items, row: usize },
+    Items { pipeline: wgpu::RenderPipeline, items: Items, tiles: Tiles },
     Histogram { pipeline: wgpu::RenderPipeline, items: Items, count: wgpu::ComputePipeline, bins: Growing },
     Occlusion { pipeline: wgpu::RenderPipeline, queries: wgpu::QuerySet, counts: Growing },
     PerFragment { pipeline: wgpu::RenderPipeline, layout: wgpu::BindGroupLayout, counts: Growing },
@@ -35,7 +36,7 @@ impl Items {
             let usage = wgpu::TextureUsages::RENDER_ATTACHMENT
                 | wgpu::TextureUsages::COPY_SRC
                 | wgpu::TextureUsages::TEXTURE_BINDING;
-            let items = texture(gpu, "boxes", resolution, ITEMS, usage)?;
+            let items = gpu.texture("boxes", resolution, ITEMS, usage)?;
             let view = items.create_view(&wgpu::TextureViewDescriptor::default());
             self.0 = Some((resolution, items, view));
         }
@@ -46,6 +47,9 @@ impl Items {
 
 /// Bytes of a resolved occlusion query.
 const QUERY_BYTES: u64 = wgpu::QUERY_SIZE as u64;
+
+/// Bytes of a count.
+const WORD: u64 = 4;
 
 impl Way {
     pub(super) fn new(gpu: &Gpu, camera: &Camera, kind: GpuQueryKind) -> Result<Way, GpuError> {
@@ -59,7 +63,12 @@ impl Way {
         let coloured = || boxes(Some((&camera.module, "item", Some(ITEMS))), None);
         let storage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC;
         let how = match kind {
-            GpuQueryKind::ItemBuffer => How::Items { pipeline: coloured(), items: Items::default(), row: 0 },
+            GpuQueryKind::ItemBuffer => {
+                How::Items { pipeline: coloured(), items: Items::default(), tiles: Tiles::whole() }
+            }
+            GpuQueryKind::ItemBufferTiled => {
+                How::Items { pipeline: coloured(), items: Items::default(), tiles: Tiles::of_paper() }
+            }
             GpuQueryKind::Histogram => How::Histogram {
                 pipeline: coloured(),
                 items: Items::default(),
@@ -110,32 +119,52 @@ impl Way {
         Ok(Way { boxes: Growing::new("boxes", wgpu::BufferUsages::VERTEX), how })
     }
 
-    /// Forgets what belongs to one size of image, if that changes.
-    pub(super) fn forget_if(&mut self, changes: bool) {
-        if let (How::Pyramid(pyramid), true) = (&mut self.how, changes) {
-            pyramid.forget();
+    /// Starts another frame; what belongs to one size of image is forgotten if that `changes`.
+    pub(super) fn begin(&mut self, resolution: Resolution, changes: bool) {
+        match &mut self.how {
+            How::Pyramid(pyramid) if changes => pyramid.forget(),
+            How::Items { tiles, .. } => tiles.begin(resolution),
+            _ => {}
         }
     }
 
-    /// Has boxes asked about, and what says the answers copied to `to`.
-    pub(super) fn encode(
+    /// Starts another query.
+    pub(super) fn ask(&mut self, whole_front: bool) {
+        if let How::Items { tiles, .. } = &mut self.how {
+            tiles.ask(whole_front);
+        }
+    }
+
+    /// Whether a pass can show anything.
+    pub(super) fn is_active(&self) -> bool {
+        self.tiles().is_none_or(Tiles::are_active)
+    }
+
+    /// A whole front was answered, and none of its boxes went undrawn.
+    pub(super) fn finish(&mut self) {
+        if let How::Items { tiles, .. } = &mut self.how {
+            tiles.finish();
+        }
+    }
+
+    /// The parts of the image that are kept apart, if any.
+    pub(super) fn tiles(&self) -> Option<&Tiles> {
+        if let How::Items { tiles, .. } = &self.how { Some(tiles) } else { None }
+    }
+
+    /// Has boxes asked about.
+    pub(super) fn draw(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         image: &GpuImage,
         changed: bool,
         asked: &[Drawable],
-        to: &mut ReadBack,
     ) -> Result<(), GpuError> {
         let gpu = &*image.gpu;
-        let Some((resolution, depths)) = image.depths() else {
-            return Err(GpuError::Refused {
-                adapter: gpu.name().to_owned(),
-                reason: "boxes are asked about without an image".into(),
-            });
-        };
+        let (resolution, depths) = depths(image)?;
         let total = asked.len() as u32;
         if let How::Pyramid(pyramid) = &mut self.how {
-            return pyramid.encode(gpu, encoder, (resolution, depths), changed, asked, to);
+            return pyramid.encode(gpu, encoder, (resolution, depths), changed, asked);
         }
         let ends: Vec<Ends> = asked.iter().map(|b| Ends { min: b.min.to_array(), max: b.max.to_array() }).collect();
         let boxes = self.boxes.write(gpu, bytemuck::cast_slice(&ends))?;
@@ -146,7 +175,7 @@ impl Way {
             pass.set_bind_group(0, &image.camera.group, &[]);
             pass.set_vertex_buffer(0, boxes.slice(..));
         };
-        let coloured = |encoder: &mut wgpu::CommandEncoder, view: &wgpu::TextureView, pipeline| {
+        let coloured = |encoder: &mut wgpu::CommandEncoder, view: &wgpu::TextureView, pipeline, within: PixelRect| {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("boxes"),
                 color_attachments: &[Some(cleared(view))],
@@ -154,34 +183,19 @@ impl Way {
                 ..wgpu::RenderPassDescriptor::default()
             });
             start(&mut pass, pipeline);
+            let PixelRect { x, y } = within;
+            pass.set_scissor_rect(x[0], y[0], x[1] - x[0], y[1] - y[0]);
             pass.draw(0..BOX_CORNERS, 0..total);
         };
-        let words = 4 * u64::from(total);
+        let whole = PixelRect { x: [0, resolution.width], y: [0, resolution.height] };
         match &mut self.how {
-            How::Items { pipeline, items, row } => {
-                let (items, view) = items.get(gpu, resolution)?;
-                coloured(encoder, view, pipeline);
-                *row = copy_items(gpu, encoder, items, resolution, to)?;
-            }
-            How::Histogram { pipeline, items, count, bins } => {
+            How::Items { pipeline, items, tiles } => {
                 let (_, view) = items.get(gpu, resolution)?;
-                coloured(encoder, view, pipeline);
-                bins.reserve(gpu, words)?;
-                encoder.clear_buffer(bins.get(), 0, None);
-                let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                    label: Some("histogram"),
-                    layout: &count.get_bind_group_layout(0),
-                    entries: &[
-                        wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(view) },
-                        wgpu::BindGroupEntry { binding: 1, resource: bins.get().as_entire_binding() },
-                    ],
-                });
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-                pass.set_pipeline(count);
-                pass.set_bind_group(0, &group, &[]);
-                pass.dispatch_workgroups(resolution.width.div_ceil(8), resolution.height.div_ceil(8), 1);
-                drop(pass);
-                encoder.copy_buffer_to_buffer(bins.get(), 0, to.prepare(gpu, words)?, 0, words);
+                coloured(encoder, view, pipeline, tiles.drawn().unwrap_or(whole));
+            }
+            How::Histogram { pipeline, items, .. } => {
+                let (_, view) = items.get(gpu, resolution)?;
+                coloured(encoder, view, pipeline, whole);
             }
             How::Occlusion { pipeline, queries, counts } => {
                 let bytes = QUERY_BYTES * u64::from(total);
@@ -205,10 +219,9 @@ impl Way {
                     // A full set's results end where the next one's may begin: 4,096 of 8 bytes each.
                     encoder.resolve_query_set(queries, 0..count, counts.get(), QUERY_BYTES * u64::from(first));
                 }
-                encoder.copy_buffer_to_buffer(counts.get(), 0, to.prepare(gpu, bytes)?, 0, bytes);
             }
             How::PerFragment { pipeline, layout, counts } => {
-                counts.reserve(gpu, words)?;
+                counts.reserve(gpu, WORD * u64::from(total))?;
                 encoder.clear_buffer(counts.get(), 0, None);
                 let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
                     label: Some("counts"),
@@ -223,30 +236,57 @@ impl Way {
                 start(&mut pass, pipeline);
                 pass.set_bind_group(1, &group, &[]);
                 pass.draw(0..BOX_CORNERS, 0..total);
-                drop(pass);
-                encoder.copy_buffer_to_buffer(counts.get(), 0, to.prepare(gpu, words)?, 0, words);
             }
             How::Pyramid(_) => unreachable!("encoded above"),
         }
         Ok(())
     }
 
+    /// Has what says the answers about so many boxes copied to `to`; an item buffer's colours are counted before that, if they are.
+    pub(super) fn collect(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        image: &GpuImage,
+        total: usize,
+        to: &mut ReadBack,
+    ) -> Result<(), GpuError> {
+        let gpu = &*image.gpu;
+        let (resolution, _) = depths(image)?;
+        let words = WORD * total as u64;
+        let (counts, bytes) = match &mut self.how {
+            How::Items { items, tiles, .. } => return tiles.copy(gpu, encoder, items.get(gpu, resolution)?.0, to),
+            How::Histogram { items, count, bins, .. } => {
+                bins.reserve(gpu, words)?;
+                encoder.clear_buffer(bins.get(), 0, None);
+                let (_, view) = items.get(gpu, resolution)?;
+                let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                    label: Some("histogram"),
+                    layout: &count.get_bind_group_layout(0),
+                    entries: &[
+                        wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(view) },
+                        wgpu::BindGroupEntry { binding: 1, resource: bins.get().as_entire_binding() },
+                    ],
+                });
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                pass.set_pipeline(count);
+                pass.set_bind_group(0, &group, &[]);
+                pass.dispatch_workgroups(resolution.width.div_ceil(8), resolution.height.div_ceil(8), 1);
+                drop(pass);
+                (bins.get(), words)
+            }
+            How::Occlusion { counts, .. } => (counts.get(), QUERY_BYTES * total as u64),
+            How::PerFragment { counts, .. } => (counts.get(), words),
+            How::Pyramid(pyramid) => (pyramid.answers(), words),
+        };
+        encoder.copy_buffer_to_buffer(counts, 0, to.prepare(gpu, bytes)?, 0, bytes);
+        Ok(())
+    }
+
     /// Calls `add` with boxes, by their place among those asked, and what counts for them being seen. Returns the number of values
     /// looked at.
-    pub(super) fn read(&self, bytes: &[u8], total: usize, mut add: impl FnMut(u32, u32)) -> u64 {
-        match &self.how {
-            How::Items { items, row, .. } => {
-                let Some((resolution, ..)) = &items.0 else { return 0 };
-                let mut pixels = 0;
-                for row in rows_of(bytes, *row, *resolution) {
-                    pixels += row.len() as u64;
-                    // Neighbours mostly have the same colour.
-                    for same in row.chunk_by(|a, b| a == b).filter(|same| same[0] != ItemBuffer::NONE) {
-                        add(same[0], same.len() as u32);
-                    }
-                }
-                pixels
-            }
+    pub(super) fn read(&mut self, bytes: &[u8], total: usize, mut add: impl FnMut(u32, u32)) -> u64 {
+        match &mut self.how {
+            How::Items { tiles, .. } => tiles.read(bytes, add),
             How::Occlusion { .. } => {
                 let counts = bytes.chunks_exact(QUERY_BYTES as usize).take(total);
                 let count = |bytes: &[u8]| u64::from_le_bytes(bytes.try_into().expect("8 bytes"));
@@ -260,4 +300,12 @@ impl Way {
             }
         }
     }
+}
+
+/// The depths of an image that boxes are asked about in.
+fn depths(image: &GpuImage) -> Result<(Resolution, &wgpu::TextureView), GpuError> {
+    image.depths().ok_or_else(|| GpuError::Refused {
+        adapter: image.gpu.name().to_owned(),
+        reason: "boxes are asked about without an image".into(),
+    })
 }

@@ -79,6 +79,7 @@ const HZ: f64 = 30.0;
 /// # Errors
 /// If the path or the world can't be had, there is no adapter, a frame can't be written, or Ctrl-C ends it.
 pub fn film(options: &Film) -> anyhow::Result<()> {
+    options.over.check()?;
     let path = CameraPath::read(&options.path)?;
     let hz = path.hz.unwrap_or(HZ);
     let size = options.size.or(path.resolution.map(|[width, height]| Resolution::new(width, height)));
@@ -92,7 +93,6 @@ pub fn film(options: &Film) -> anyhow::Result<()> {
     views.iter().try_for_each(View::check)?;
     prepare(&options.out, options.overwrite)?;
     let interrupted = interrupted()?;
-    options.over.warn();
     let cast = options.staffage.cast(&mut model)?;
     let gpu = Gpu::offscreen(options.scenery.adapter())?;
     let mut stage = Stage::new(&gpu, &model, &cast.meshes, FORMAT)?;

@@ -5,7 +5,8 @@
 //! people look like. `inspect` shows cells, tiles and bounds, and `charts` numbers over time.
 //!
 //! `shot` makes a picture without a window and `film` many, with what `staging` puts into them. `view` opens a window: `viewing` is
-//! the world as it is looked at, with a `player` who can `walk`, `online` its connection, and `record` keeps the way that was gone.
+//! the world as it is looked at, with a `player` who can `walk`, `online` its connection, and `record` keeps the way that was gone. `surface` says
+//! what to do where a window gives no image.
 
 // This is a driver: it may read the clock.
 #![expect(clippy::disallowed_methods)]
@@ -26,6 +27,7 @@ pub mod renderer;
 pub mod shot;
 pub mod sight;
 pub mod staging;
+mod surface;
 mod textures;
 pub mod view;
 pub mod viewing;

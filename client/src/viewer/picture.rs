@@ -48,7 +48,7 @@ impl Stage {
     ) -> Result<DrawStats, GpuError> {
         let resolution = frame.view.resolution;
         if self.depth.as_ref().is_none_or(|(of, _)| *of != resolution) {
-            let texture = texture(gpu, "depth", resolution, DEPTH, wgpu::TextureUsages::RENDER_ATTACHMENT)?;
+            let texture = gpu.texture("depth", resolution, DEPTH, wgpu::TextureUsages::RENDER_ATTACHMENT)?;
             self.depth = Some((resolution, texture.create_view(&wgpu::TextureViewDescriptor::default())));
         }
         let Some((_, depth)) = &self.depth else { unreachable!("made above") };
@@ -96,66 +96,16 @@ impl Stage {
             return Ok((RgbaImage::new(resolution.width, resolution.height), DrawStats::default()));
         }
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
-        let image = texture(gpu, "picture", resolution, self.format, usage)?;
+        let image = gpu.texture("picture", resolution, self.format, usage)?;
         let stats = self.draw(gpu, &image.create_view(&wgpu::TextureViewDescriptor::default()), frame, overlay)?;
-        Ok((read_back(gpu, &image, resolution)?, stats))
+        Ok((read_back(gpu, &image)?, stats))
     }
 }
 
-/// A texture of the size of a picture.
-fn texture(
-    gpu: &Gpu,
-    what: &str,
-    resolution: Resolution,
-    format: wgpu::TextureFormat,
-    usage: wgpu::TextureUsages,
-) -> Result<wgpu::Texture, GpuError> {
-    let Resolution { width, height } = resolution;
-    let limit = gpu.device.limits().max_texture_dimension_2d;
-    if width.max(height) > limit {
-        return Err(GpuError::TooLarge {
-            what: "a picture".into(),
-            size: format!("{width}x{height} pixels"),
-            adapter: gpu.name().to_owned(),
-            limit: format!("{limit} a side"),
-            remedy: "take a smaller one",
-        });
-    }
-    Ok(gpu.device.create_texture(&wgpu::TextureDescriptor {
-        label: Some(what),
-        size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format,
-        usage,
-        view_formats: &[],
-    }))
-}
-
-fn read_back(gpu: &Gpu, image: &wgpu::Texture, resolution: Resolution) -> Result<RgbaImage, GpuError> {
-    let Resolution { width, height } = resolution;
-    let row = (4 * width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
-    let usage = wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ;
-    let buffer = gpu.empty_buffer("read back", usage, u64::from(row) * u64::from(height))?;
-    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("read back") });
-    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row), rows_per_image: None };
-    encoder.copy_texture_to_buffer(
-        image.as_image_copy(),
-        wgpu::TexelCopyBufferInfo { buffer: &buffer, layout },
-        image.size(),
-    );
-    gpu.queue.submit([encoder.finish()]);
-    buffer.slice(..).map_async(wgpu::MapMode::Read, |_| {});
-    let waited = gpu.device.poll(wgpu::PollType::wait_indefinitely());
-    gpu.check()?;
-    let refused = |reason: String| GpuError::Refused { adapter: gpu.name().to_owned(), reason };
-    waited.map_err(|error| refused(error.to_string()))?;
-    let bytes = buffer.slice(..).get_mapped_range().map_err(|error| refused(error.to_string()))?;
-    let rows = bytes.chunks_exact(row as usize).take(height as usize);
-    let mut pixels: Vec<u8> = rows.flat_map(|row| &row[..4 * width as usize]).copied().collect();
+fn read_back(gpu: &Gpu, image: &wgpu::Texture) -> Result<RgbaImage, GpuError> {
+    let mut pixels = gpu.read_texture(image)?;
     if matches!(image.format(), wgpu::TextureFormat::Bgra8Unorm | wgpu::TextureFormat::Bgra8UnormSrgb) {
         pixels.chunks_exact_mut(4).for_each(|pixel| pixel.swap(0, 2));
     }
-    Ok(RgbaImage::from_raw(width, height, pixels).expect("a row for each of the image's"))
+    Ok(RgbaImage::from_raw(image.width(), image.height(), pixels).expect("four bytes for each of the image's pixels"))
 }

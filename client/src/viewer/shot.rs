@@ -89,8 +89,8 @@ pub fn looking_along(direction: DVec3) -> Option<DQuat> {
 /// # Errors
 /// If there is no adapter, the world can't be loaded, or the picture can't be written.
 pub fn shot(options: &Shot) -> anyhow::Result<()> {
+    options.over.check()?;
     let mut model = options.scenery.model()?;
-    options.over.warn();
     let cast = options.staffage.cast(&mut model)?;
     let orientation = looking_along(options.look - options.eye).context("--look is where --eye is")?;
     let view = View {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use clap::Args;
+use clap::{Args, ValueEnum as _};
 use eyeline_visibility::{LoadOptions, View};
 use glam::{DQuat, DVec3, Vec2};
 
@@ -172,11 +172,25 @@ impl Over {
         self.overlay.contains(&show)
     }
 
-    /// Says what can't be shown here: a picture has no connection and no past.
-    pub fn warn(&self) {
-        for show in [Show::Hidden, Show::Charts].into_iter().filter(|show| self.shows(*show)) {
-            tracing::warn!("{show:?} is only to be seen in a window that is connected, or has been open for a while");
+    /// Whether all of it can be shown without a window: a picture has no connection and no past.
+    ///
+    /// # Errors
+    /// If not, with the overlay's name and where it can be seen.
+    pub fn check(&self) -> anyhow::Result<()> {
+        let needs = |show| match show {
+            Show::Hidden => Some("shows what a connected client holds hidden"),
+            Show::Charts => Some("shows the seconds before, which a picture has not"),
+            _ => None,
+        };
+        for &show in &self.overlay {
+            if let (Some(why), Some(value)) = (needs(show), show.to_possible_value()) {
+                anyhow::bail!(
+                    "--overlay {0} {why}; see it with: eyeline-client view --connect HOST:PORT --overlay {0}",
+                    value.get_name()
+                );
+            }
         }
+        Ok(())
     }
 
     /// What is drawn over the scene.

@@ -1,7 +1,6 @@
 //! The window: keys, mouse and pixels around a [`Viewing`].
 //!
-//! A surface may be lost, be out of date or have no size at all; each is met by making it anew or by drawing nothing for a while.
-//! Only a lost device ends the viewer, with a message.
+//! What to do about a surface that gives no image is said in [`super::surface`]. A lost device ends the viewer, with a message.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -22,6 +21,7 @@ use super::picture::Stage;
 use super::player::Held;
 use super::record::Recorder;
 use super::renderer::Frame;
+use super::surface::{Failures, Remedy, Said, drawable};
 use super::viewing::Viewing;
 use crate::app::print;
 
@@ -87,40 +87,9 @@ pub fn run(viewing: Viewing, options: WindowOptions) -> anyhow::Result<()> {
     }
 }
 
-/// The size of images for a window of a size in physical pixels; `None` if there is nothing to draw on, as when it is minimised.
-fn drawable(width: u32, height: u32, most: u32) -> Option<Resolution> {
-    (width > 0 && height > 0).then(|| Resolution::new(width.min(most), height.min(most)))
-}
-
 /// Pixels of a pixel of the font on a screen with so many physical pixels a logical one.
 fn text_scale(scale_factor: f64) -> f32 {
     (scale_factor as f32 * 2.0).round().max(1.0)
-}
-
-/// What is to be done with a surface before it gives the next image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Remedy {
-    /// Nothing.
-    None,
-    /// Fit it to the window again.
-    Fit,
-    /// Try later.
-    Wait { is_covered: bool },
-    /// It is gone; another one of the same window may do.
-    MakeAnew,
-    /// Ask the device what is wrong.
-    Ask,
-}
-
-fn remedy(current: &Current) -> Remedy {
-    match current {
-        Current::Success(_) => Remedy::None,
-        Current::Suboptimal(_) | Current::Outdated => Remedy::Fit,
-        Current::Timeout => Remedy::Wait { is_covered: false },
-        Current::Occluded => Remedy::Wait { is_covered: true },
-        Current::Lost => Remedy::MakeAnew,
-        Current::Validation => Remedy::Ask,
-    }
 }
 
 /// What exists while there is a window.
@@ -134,6 +103,7 @@ struct Live {
     /// Whether the surface fits the window.
     is_configured: bool,
     is_covered: bool,
+    failures: Failures,
 }
 
 struct App {
@@ -172,7 +142,16 @@ impl Live {
         (config.format, config.present_mode) = (format, wgpu::PresentMode::AutoVsync);
         let stage = Stage::new(&gpu, viewing.model(), &viewing.bodies(), format)?;
         tracing::info!(adapter = %gpu.describe(), "drawing");
-        Ok(Live { surface, stage, gpu, window, config, is_configured: false, is_covered: false })
+        Ok(Live {
+            surface,
+            stage,
+            gpu,
+            window,
+            config,
+            is_configured: false,
+            is_covered: false,
+            failures: Failures::default(),
+        })
     }
 
     /// The size of the surface once it fits the window; `None` if there is nothing to draw on.
@@ -194,7 +173,7 @@ impl Live {
     /// The next image to draw on; `None` if there is none this time.
     fn acquire(&mut self) -> Result<Option<wgpu::SurfaceTexture>, GpuError> {
         let current = self.surface.get_current_texture();
-        match remedy(&current) {
+        match self.failures.remedy(Said::of(&current)) {
             Remedy::None => {}
             Remedy::Fit => self.is_configured = false,
             Remedy::Wait { is_covered } => self.is_covered |= is_covered,
@@ -204,6 +183,11 @@ impl Live {
                 self.is_configured = false;
             }
             Remedy::Ask => self.gpu.check()?,
+            Remedy::End(why) => {
+                // A device that is gone says more than its surfaces.
+                self.gpu.check()?;
+                return Err(GpuError::Surface(why.into()));
+            }
         }
         if let Current::Success(texture) | Current::Suboptimal(texture) = current {
             return Ok(Some(texture));
@@ -422,24 +406,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_window_without_pixels_is_not_drawn_on() {
-        assert_eq!(drawable(0, 200, 100), None);
-        assert_eq!(drawable(200, 0, 100), None);
-        assert_eq!(drawable(1, 1, 100), Some(Resolution::new(1, 1)));
-        assert_eq!(drawable(300, 80, 100), Some(Resolution::new(100, 80)));
-    }
-
-    #[test]
     fn letters_grow_with_the_screens_pixels() {
         assert_eq!([0.1, 1.0, 1.25, 1.5, 2.0, 3.0].map(text_scale), [1.0, 2.0, 3.0, 3.0, 4.0, 6.0]);
-    }
-
-    #[test]
-    fn whatever_a_surface_is_there_is_a_remedy() {
-        assert_eq!(remedy(&Current::Lost), Remedy::MakeAnew);
-        assert_eq!(remedy(&Current::Outdated), Remedy::Fit);
-        assert_eq!(remedy(&Current::Occluded), Remedy::Wait { is_covered: true });
-        assert_eq!(remedy(&Current::Timeout), Remedy::Wait { is_covered: false });
-        assert_eq!(remedy(&Current::Validation), Remedy::Ask);
     }
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use eyeline_client::gpu::{GpuQuery, GpuQueryKind};
+use eyeline_client::gpu::{GpuQuery, GpuQueryKind, GpuStep};
 use eyeline_visibility::{Aabb, PerFragmentHistogram, QueryBackEnd, Resolution};
 use rand::{RngExt as _, SeedableRng as _};
 
@@ -12,8 +12,9 @@ use crate::{gpu_or_skip, made};
 const RESOLUTION: Resolution = Resolution::new(150, 101);
 
 /// The kinds that draw boxes.
-const DRAWING: [GpuQueryKind; 5] = [
+const DRAWING: [GpuQueryKind; 6] = [
     GpuQueryKind::ItemBuffer,
+    GpuQueryKind::ItemBufferTiled,
     GpuQueryKind::Histogram,
     GpuQueryKind::OcclusionQueries,
     GpuQueryKind::OneAtATime,
@@ -45,9 +46,13 @@ fn all_ways_give_the_answers_of_the_item_buffer() {
                 assert_eq!(seen.len(), boxes.len());
                 seen
             });
-            for (kind, answer) in GpuQueryKind::ALL.iter().zip(&answers).skip(1).take(DRAWING.len() - 1) {
+            let drawing = GpuQueryKind::ALL.iter().zip(&answers).filter(|(kind, _)| DRAWING.contains(kind));
+            assert_eq!(drawing.clone().count(), DRAWING.len());
+            for (kind, answer) in drawing {
                 assert!(*answer == answers[0], "{kind}: not the item buffer's answers in {view:?}");
             }
+            // What is left out of a tiled one shows nothing.
+            assert_eq!(back_ends[0].counts(), back_ends[6].counts());
             let items = answers[0].iter().zip(&answers[5]);
             assert!(items.clone().all(|(seen, pyramid)| *pyramid || !*seen), "the pyramid hid a seen box in {view:?}");
             by_pyramid += items.filter(|(seen, pyramid)| **pyramid && !**seen).count();
@@ -129,6 +134,7 @@ fn many_boxes_are_one_submission_and_layers_are_passes() {
     // Each pass of the others ends with one that shows nothing new.
     assert!(of(GpuQueryKind::ItemBuffer).0 > 2, "{passes:?}");
     assert_eq!(of(GpuQueryKind::ItemBuffer), of(GpuQueryKind::Histogram));
+    assert_eq!(of(GpuQueryKind::ItemBuffer), of(GpuQueryKind::ItemBufferTiled));
     let (singles, drawn) = of(GpuQueryKind::OneAtATime);
     assert!(singles as u64 == drawn && singles > 5, "{passes:?}");
     assert!(of(GpuQueryKind::OcclusionQueries).1 > 1_000, "{passes:?}");
@@ -173,5 +179,93 @@ fn what_is_not_answered_counts_as_visible() {
         back_end.query(&boxes, &mut hasty);
         back_end.check().unwrap();
         assert!(hasty.iter().zip(&waited).all(|(hasty, seen)| *hasty || !*seen), "{kind}");
+    }
+}
+
+#[test]
+fn tiles_without_an_open_box_are_not_read_back() {
+    let Some(gpu) = gpu_or_skip("tiles_without_an_open_box_are_not_read_back") else { return };
+    let scene = made::rooms(13);
+    let uploaded = made::uploaded(&gpu, &scene);
+    let [mut whole, mut tiled] = [GpuQueryKind::ItemBuffer, GpuQueryKind::ItemBufferTiled]
+        .map(|kind| GpuQuery::new(Arc::clone(&gpu), Arc::clone(&uploaded), kind).unwrap());
+    // Three tiles by two, the right and lower ones cut off.
+    let (width, height) = (150, 101);
+    let mut seen = Vec::new();
+    let mut finished_total = 0;
+    for (number, view) in made::views(14, 8, Resolution::new(width, height)).into_iter().enumerate() {
+        let boxes = made::boxes(&view, 60 + number as u64, 120);
+        for back_end in [&mut whole, &mut tiled] {
+            back_end.begin(&view);
+            back_end.draw(&scene, &made::all(&scene));
+        }
+        let before = [&whole, &tiled].map(|back_end| back_end.stats().bytes);
+        let costs = [&mut whole, &mut tiled].map(|back_end| back_end.query(&boxes, &mut seen));
+        let bytes = [&whole, &tiled].map(|back_end| back_end.stats().bytes);
+        assert_eq!(costs[0].passes, costs[1].passes);
+        assert_eq!(costs[0].read_back, costs[0].passes as u64 * u64::from(width * height));
+        // The first pass reads all, the later ones what showed something.
+        assert!(
+            costs[1].read_back <= costs[0].read_back && costs[1].read_back >= u64::from(width * height),
+            "{costs:?}"
+        );
+        // What was read is what the adapter's rows are aligned to, and of that no more than the tiles.
+        assert!(bytes[1] - before[1] >= 4 * costs[1].read_back, "{bytes:?} {costs:?}");
+        assert!(tiled.finished_tiles().is_empty(), "only a whole front finishes tiles");
+
+        // A front that is a few boxes: where none of them shows, nothing is asked again in this frame.
+        let front: Vec<Aabb> = boxes.iter().filter(|aabb| tiled.in_view(aabb)).take(6).copied().collect();
+        tiled.query_front(&front, &mut seen);
+        let touching = (whole.query(&front, &mut Vec::new()), whole.counts().contains(&u32::MAX)).1;
+        let finished = tiled.finished_tiles();
+        assert!(!touching || finished.is_empty(), "a box at the near plane may be what any tile shows");
+        finished_total += finished.len();
+        let open = u64::from(width * height)
+            - finished.iter().map(|tile| u64::from((tile.x[1] - tile.x[0]) * (tile.y[1] - tile.y[0]))).sum::<u64>();
+        let first_pass = tiled.query_front(&front, &mut seen);
+        assert!(first_pass.passes == 0 || first_pass.read_back >= open, "{first_pass:?}");
+        assert!(first_pass.read_back <= first_pass.passes as u64 * open, "{first_pass:?} of {open}");
+        assert_eq!(tiled.is_full(), open == 0);
+        tiled.check().unwrap();
+        // Other boxes are looked for everywhere.
+        let (mut here, mut there) = (Vec::new(), Vec::new());
+        whole.query(&boxes, &mut there);
+        tiled.query(&boxes, &mut here);
+        assert_eq!(here, there);
+    }
+    let [whole, tiled] = [whole.stats().bytes, tiled.stats().bytes];
+    assert!(finished_total > 8 && tiled < whole, "{finished_total} tiles finished, {tiled} of {whole} bytes");
+}
+
+#[test]
+fn a_query_step_by_step_tells_of_each_step_once() {
+    let Some(gpu) = gpu_or_skip("a_query_step_by_step_tells_of_each_step_once") else { return };
+    let scene = made::rooms(15);
+    let uploaded = made::uploaded(&gpu, &scene);
+    let view = made::views(16, 1, RESOLUTION)[0];
+    let boxes = made::boxes(&view, 17, 60);
+    for kind in GpuQueryKind::ALL {
+        let mut back_end = GpuQuery::new(Arc::clone(&gpu), Arc::clone(&uploaded), kind).unwrap();
+        back_end.begin(&view);
+        back_end.draw(&scene, &made::all(&scene));
+        let mut steps = Vec::new();
+        let cost = back_end.step_by_step(&boxes, |step| steps.push(step)).unwrap();
+        assert_eq!(steps, [GpuStep::Draw, GpuStep::Transfer, GpuStep::Scan], "{kind}");
+        // The first pass of the query itself reads back as much.
+        let read_back = match kind {
+            GpuQueryKind::ItemBuffer | GpuQueryKind::ItemBufferTiled => RESOLUTION.pixels() as u64,
+            _ => back_end.stats().boxes,
+        };
+        assert_eq!((cost.passes, cost.read_back), (1, read_back), "{kind}");
+        // And it leaves no trace in later answers.
+        let (mut after, mut fresh) = (Vec::new(), Vec::new());
+        back_end.query(&boxes, &mut after);
+        let mut other = GpuQuery::new(Arc::clone(&gpu), Arc::clone(&uploaded), kind).unwrap();
+        other.begin(&view);
+        other.draw(&scene, &made::all(&scene));
+        other.query(&boxes, &mut fresh);
+        assert_eq!(after, fresh, "{kind}");
+        // Nothing to draw is an error, not a time.
+        assert!(back_end.step_by_step(&[], |_| panic!("{kind} drew nothing")).is_err());
     }
 }

@@ -30,6 +30,11 @@ fn cuboid(min: Vec3, max: Vec3) -> Vec<Triangle> {
     faces.into_iter().flat_map(|face| quad(face, Sides::Front, true)).collect()
 }
 
+/// A closed box around a point.
+pub fn closed_box(centre: Vec3, half: f32) -> [Triangle; 12] {
+    cuboid(centre - half, centre + half).try_into().expect("six sides of two triangles")
+}
+
 /// The rooms, their furniture from a seed.
 pub fn rooms(seed: u64) -> Scene {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);

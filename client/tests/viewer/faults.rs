@@ -59,11 +59,14 @@ fn what_is_larger_than_the_adapter_takes_is_refused_with_a_remedy() {
     let bytes = limits.max_buffer_size.saturating_add(1);
     if bytes > limits.max_buffer_size {
         let error = gpu.empty_buffer("triangles", wgpu::BufferUsages::VERTEX, bytes).unwrap_err();
-        refused(error, &["triangles", "MiB", "smaller scene"]);
+        refused(error, &["triangles", "max_buffer_size", "smaller scene"]);
     }
     let mut stage = stage(&gpu, &rooms());
     let frame = Frame { view: view(limits.max_texture_dimension_2d + 1, 8), visible: &[], moving: &[] };
-    refused(stage.picture(&gpu, &frame, &Overlay::default()).unwrap_err(), &["picture", "smaller"]);
+    refused(
+        stage.picture(&gpu, &frame, &Overlay::default()).unwrap_err(),
+        &["picture", "max_texture_dimension_2d", "smaller"],
+    );
     // Nothing of it is left behind.
     gpu.check().unwrap();
 }

@@ -86,6 +86,9 @@ fn what_is_wrong_is_named() {
     wrong(&["--every", "0"], &["--every"]);
     wrong(&["--every", "2", "--fps", "5"], &["--fps"]);
     wrong(&["--fps", "0"], &["240"]);
+    // A picture has no connection and no past: said by name, before anything is drawn.
+    wrong(&["--overlay", "inset,hidden"], &["--overlay hidden", "view --connect"]);
+    wrong(&["--overlay", "charts"], &["--overlay charts", "view --connect"]);
     wrong(&["--avatar", "nobody.glb"], &["nobody.glb"]);
     wrong(&["--avatar", "way.json"], &["way.json"]);
     std::fs::write(folder.path().join("way.json"), "{\"cameras\": []}").unwrap();

@@ -55,6 +55,9 @@ pub struct Traversal {
     /// Depths compared, pixels or tiles, by queries about boxes that turned out to be seen: what an occupancy map spares. 0 for
     /// cullers that do not count them.
     pub seen_z_tests: u64,
+    /// Values that answers to queries brought back to the host: pixels of an item buffer, bins, flags, counters. 0 for cullers that ask
+    /// no query back end.
+    pub read_back: u64,
     /// Sealed faces that were believed, so that they did not lead on.
     pub sealed: usize,
     /// Sealed faces that were not: at this resolution, from this eye, they count as open.

@@ -54,6 +54,7 @@ impl OctreeRounds {
             }
         }
         done.passes = rounds.queries.passes;
+        done.read_back = rounds.queries.read_back;
         done.seen_z_tests = back_end.seen_z_tests();
         rounds.z_tests = back_end.z_tests();
         let culled = self.leaves.finish(Traversal { ..rounds.traversal }, rounds.z_tests);

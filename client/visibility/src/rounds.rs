@@ -162,6 +162,7 @@ impl Cplp {
             }
         });
         rounds.traversal.passes = rounds.queries.passes;
+        rounds.traversal.read_back = rounds.queries.read_back;
         rounds.traversal.seen_z_tests = back_end.seen_z_tests();
         rounds.z_tests = back_end.z_tests();
         rounds

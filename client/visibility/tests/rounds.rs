@@ -44,6 +44,7 @@ fn a_larger_budget_needs_fewer_rounds_and_a_per_fragment_histogram_one_pass_in_e
                 Traversal {
                     passes: single.traversal.passes,
                     seen_z_tests: single.traversal.seen_z_tests,
+                    read_back: single.traversal.read_back,
                     ..items.traversal
                 }
             );

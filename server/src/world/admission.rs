@@ -227,7 +227,8 @@ impl World {
         });
         let watches = !matches!(hello.role, Role::Actor { .. });
         let present = hello.role == Role::Avatar;
-        let avatars: Vec<ObjectId> = (0..wanted).map(|_| self.spawn_avatar(id, present)).collect();
+        let avatars: Vec<ObjectId> =
+            (0..wanted).map(|number| self.spawn_avatar(id, present, called(&hello.name, number))).collect();
         self.avatars_alive += wanted;
         let Some(session) = self.sessions.get_mut(&id) else { return };
         session.phase = Phase::Live { slot, watches };
@@ -426,7 +427,7 @@ impl World {
         ServerControl::Roster { tick: self.tick, entries }
     }
 
-    fn spawn_avatar(&mut self, owner: SessionId, present: bool) -> ObjectId {
+    fn spawn_avatar(&mut self, owner: SessionId, present: bool, name: Option<String>) -> ObjectId {
         let spawns = &self.spec.spawns;
         let (feet, heading) = match spawns.get(self.spawned % spawns.len().max(1)) {
             Some(spawn) => (DVec3::from_array(spawn.position), spawn.heading),
@@ -442,11 +443,49 @@ impl World {
         let tick = self.tick;
         let object = &mut self.objects[id.index()];
         let issue = eyeline_protocol::Issue(object.issue.0 + 1);
-        *object = Object::new(format!("avatar {}", id.0), AVATAR_CLASS, position, tick);
+        let name = name.unwrap_or_else(|| format!("avatar {}", id.0));
+        *object = Object::new(name, AVATAR_CLASS, position, tick);
         object.orientation = Orientation::from_yaw(heading);
         object.issue = issue;
         object.owner = Some(owner);
         object.present = present;
         id
+    }
+}
+
+/// The longest name of an avatar. Everybody is told of it, and who chose it pays for none of that; twice what viewers write over heads.
+const CALLED_BYTES_MAX: usize = 48;
+
+/// What the avatar of somebody who came under this name is called in rosters; the later ones of an actor are numbered from 2. `None` for who
+/// gave no name. What is too long is cut, before the number.
+fn called(name: &str, number: usize) -> Option<String> {
+    let name = name.trim();
+    if name.is_empty() {
+        return None;
+    }
+    let suffix = if number == 0 { String::new() } else { format!(" {}", number + 1) };
+    let end =
+        (0..=name.len()).rev().find(|&end| name.is_char_boundary(end) && end + suffix.len() <= CALLED_BYTES_MAX)?;
+    Some(format!("{}{suffix}", &name[..end]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn avatars_are_called_as_who_came() {
+        assert_eq!(called("Ada", 0).as_deref(), Some("Ada"));
+        assert_eq!(called(" Ada ", 2).as_deref(), Some("Ada 3"));
+        assert_eq!([called("", 0), called(" \t", 1)], [None, None]);
+        // Wherever a letter would be cut.
+        for letter in ["a", "é", "🦀"] {
+            let long = letter.repeat(255 / letter.len());
+            for number in [0, 1, 4_095] {
+                let called = called(&long, number).unwrap();
+                assert!(called.len() <= CALLED_BYTES_MAX && called.starts_with(letter), "{called}");
+                assert_eq!(called.ends_with(&format!(" {}", number + 1)), number > 0);
+            }
+        }
     }
 }

@@ -45,6 +45,11 @@ pub trait Candidate {
         None
     }
 
+    /// Bytes that the last cull read back from an adapter's memory, if it has one.
+    fn read_back_bytes(&self) -> Option<u64> {
+        None
+    }
+
     /// Why the culler cannot work, or what went wrong since it was made.
     fn fault(&self) -> Option<String> {
         None

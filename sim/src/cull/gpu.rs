@@ -2,7 +2,7 @@
 //!
 //! The cullers are rows like all others. Their truth is the adapter's own item buffer, since two rasterisers differ at edges
 //! ([`super::Candidate::own_pictures`]). Beside them the report has the time of a query against the size of its box (Staneker et al.
-//! 2003, figure 1) and in images of 64² and 512² pixels (Klosowski & Silva 2001, table 2). The papers' ratios are only held against
+//! 2003, figure 1) and in images of 64² and 512² pixels, whole and step by step (Klosowski & Silva 2001, table 2). The papers' ratios are only held against
 //! a real adapter; one in software says what is right and nothing about speed.
 //!
 //! Without the feature `gpu` there is only the message that says so.
@@ -11,6 +11,8 @@
 mod candidate;
 #[cfg(feature = "gpu")]
 mod costs;
+#[cfg(feature = "gpu")]
+mod steps;
 
 #[cfg(feature = "gpu")]
 pub(super) use candidate::Uploaded;

@@ -42,6 +42,8 @@ pub struct CullRow {
     pub rounds: f64,
     pub rounds_max: usize,
     pub passes: f64,
+    pub read_back: f64,
+    pub read_back_bytes: Option<f64>,
     pub cells: f64,
     pub queries: f64,
     pub visible_query_pixels: f64,
@@ -165,6 +167,12 @@ pub fn columns() -> Vec<Column> {
             "",
             "images that queries drew, per view: one a round where fragments are counted, else several",
         ),
+        column(
+            "read_back",
+            "",
+            "values that answers brought back to the host, per view: pixels of an item buffer, of its tiles that are not finished, bins, counters",
+        ),
+        column("read_back_bytes", "bytes", "what a graphics adapter's memory was read for these, per view"),
         column("cells", "", "cells projected per view, mean"),
         column("queries", "", "cells asked about per view, mean"),
         column(

@@ -159,6 +159,7 @@ impl Try<'_> {
         tally.objects_rectangle = truth.rectangle.map(|kept| tally.objects_rectangle.unwrap_or(0) + kept);
         tally.z_tests += z_tests;
         tally.count(&culled);
+        tally.read_back_bytes = candidate.read_back_bytes().map(|bytes| tally.read_back_bytes.unwrap_or(0) + bytes);
     }
 }
 
@@ -204,6 +205,8 @@ pub(super) struct Tally {
     rounds: u64,
     rounds_max: usize,
     passes: u64,
+    read_back: u64,
+    read_back_bytes: Option<u64>,
     cells: u64,
     queries: u64,
     visible_query_pixels: u64,
@@ -238,6 +241,7 @@ impl Tally {
         self.rounds += culled.traversal.rounds as u64;
         self.rounds_max = self.rounds_max.max(culled.traversal.rounds);
         self.passes += culled.traversal.passes as u64;
+        self.read_back += culled.traversal.read_back;
         self.cells += culled.traversal.cells_projected as u64;
         self.queries += culled.traversal.queries as u64;
         self.visible_query_pixels += culled.traversal.seen_z_tests;
@@ -327,6 +331,8 @@ impl Tally {
             rounds: mean(self.rounds),
             rounds_max: self.rounds_max,
             passes: mean(self.passes),
+            read_back: mean(self.read_back),
+            read_back_bytes: self.read_back_bytes.map(mean),
             cells: mean(self.cells),
             queries: mean(self.queries),
             visible_query_pixels: mean(self.visible_query_pixels),

@@ -35,6 +35,7 @@ const QUERIES: &[&str] = &[
     GpuQueryKind::PerFragment.name(),
     GpuQueryKind::OcclusionQueries.name(),
     GpuQueryKind::ItemBuffer.name(),
+    GpuQueryKind::ItemBufferTiled.name(),
     GpuQueryKind::Histogram.name(),
     GpuQueryKind::ZPyramid.name(),
     GpuQueryKind::OneAtATime.name(),
@@ -106,7 +107,7 @@ fn made(shop: &mut Shop, setting: &Setting, culler: impl FnOnce(GpuQuery) -> Gpu
     };
     match parts() {
         Ok((query, picture)) => {
-            Box::new(OnGpu { culler: culler(query), picture, triangles, budget, whole: None, fault: None })
+            Box::new(OnGpu { culler: culler(query), picture, triangles, budget, whole: None, fault: None, bytes: 0 })
         }
         Err(why) => Box::new(Missing(why)),
     }
@@ -121,6 +122,8 @@ struct OnGpu {
     /// The picture of everything in the view that was asked about last: the same for one view's repeats.
     whole: Option<(View, Vec<u32>)>,
     fault: Option<String>,
+    /// Read back by the last cull.
+    bytes: u64,
 }
 
 impl OnGpu {
@@ -140,7 +143,10 @@ impl OnGpu {
 
 impl Candidate for OnGpu {
     fn cull(&mut self, view: &View, region: EyeRegion) -> Culled {
-        self.culler.cull(view, region).unwrap_or_else(|error| {
+        let before = self.culler.query().stats().bytes;
+        let culled = self.culler.cull(view, region);
+        self.bytes = self.culler.query().stats().bytes - before;
+        culled.unwrap_or_else(|error| {
             self.fault.get_or_insert(error.to_string());
             Culled { visible: self.everything(), ..Culled::default() }
         })
@@ -162,6 +168,10 @@ impl Candidate for OnGpu {
                 None
             }
         }
+    }
+
+    fn read_back_bytes(&self) -> Option<u64> {
+        Some(self.bytes)
     }
 
     fn fault(&self) -> Option<String> {

@@ -10,7 +10,7 @@ use eyeline_client::gpu::{Gpu, GpuError, GpuQuery, GpuQueryKind, GpuScene};
 use eyeline_visibility::{Aabb, QueryBackEnd, QueryKind, Resolution, Scene, Sides, Triangle, View};
 use glam::{DVec3, Vec3};
 
-use super::SOFTWARE;
+use super::{SOFTWARE, steps};
 use crate::cull::row::CullRow;
 use crate::cull::run::Outcome;
 use crate::report::{Axis, Plot, PlotKind, Point, Report, Series};
@@ -20,15 +20,16 @@ const BOXES_PX: [u32; 6] = [4, 16, 64, 128, 256, 500];
 const SIDE: u32 = 512;
 
 /// The images of cPLP's table 2.
-const IMAGES: [u32; 2] = [64, 512];
+pub(super) const IMAGES: [u32; 2] = [64, 512];
 
 /// Queries of which the median is told, and those before them that warm caches.
-const REPEATS: usize = 15;
-const WARM: usize = 3;
+pub(super) const REPEATS: usize = 15;
+pub(super) const WARM: usize = 3;
 
 /// Kinds whose costs are told: of a single box, a set of queries and one at a time are the same.
-const KINDS: [GpuQueryKind; 5] = [
+const KINDS: [GpuQueryKind; 6] = [
     GpuQueryKind::ItemBuffer,
+    GpuQueryKind::ItemBufferTiled,
     GpuQueryKind::Histogram,
     GpuQueryKind::OcclusionQueries,
     GpuQueryKind::PerFragment,
@@ -97,7 +98,10 @@ pub(super) fn add(gpu: &Arc<Gpu>, report: &mut Report, outcome: &Outcome) -> any
         ));
     }
     report.plots.push(plot.with_note("Staneker et al. 2003, figure 1"));
-    report.plots.push(images.with_note("Klosowski & Silva 2001, table 2: what is read back and scanned"));
+    report
+        .plots
+        .push(images.with_note("Klosowski & Silva 2001, table 2, all of a query: what is read back and scanned"));
+    lines.extend(steps::add(gpu, &wall, report)?);
     if gpu.is_software() {
         lines.push(format!("{SOFTWARE}; the papers' ratios are checked on a real adapter"));
     } else {
