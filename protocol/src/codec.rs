@@ -139,10 +139,9 @@ fn decode_control<M: Message>(bytes: &[u8], limit: usize) -> Result<M, DecodeErr
 /// # Errors
 /// If the bytes are not exactly one message within its limits.
 pub fn decode_client_control(bytes: &[u8]) -> Result<ClientControl, DecodeError> {
-    // The number of hello, which with the version after it never changes.
-    if let Some((0, rest)) = bytes.split_first()
-        && bytes.len() <= CLIENT_CONTROL_BYTES_MAX
-        && let Ok((version, _)) = decode_unchecked::<u16>(rest)
+    // The number of hello, which with the version after it never changes. Numbers can be spelt longer than need be.
+    if bytes.len() <= CLIENT_CONTROL_BYTES_MAX
+        && let Ok(((0, version), _)) = decode_unchecked::<(u32, u16)>(bytes)
         && version != VERSION
     {
         return Ok(ClientControl::Hello {
