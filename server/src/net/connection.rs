@@ -10,7 +10,6 @@ use bytes::Bytes;
 use eyeline_protocol::codec::{self, ControlReader};
 use eyeline_protocol::{Refusal, ServerControl};
 use tokio::sync::mpsc;
-use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 use super::flush::{CONTROL_QUEUE, Outgoing, Peer};
@@ -46,12 +45,8 @@ pub(super) async fn serve(handle: Handle, incoming: quinn::Incoming, turn: Durat
         handle.with_world(|world| world.handle_datagram_limit(id, limit));
     }
     tracing::debug!(session = id.0, address = %connection.remote_address(), "connected");
-    // A task of its own, since all that waits in one task is asked whenever any of it is woken: with each datagram the control
-    // stream would be, too. It ends with the set.
-    let mut receiving = JoinSet::new();
-    receiving.spawn(receive_datagrams(handle.clone(), id, connection.clone()));
     let reason = tokio::select! {
-        Some(ended) = receiving.join_next() => ended.unwrap_or_else(|error| error.to_string()),
+        reason = receive_datagrams(&handle, id, &connection) => reason,
         reason = converse(&handle, id, &connection, outgoing, &waiting, &mut place) => reason,
         reason = wait_for_hello(&handle, id, greeting) => reason,
     };
@@ -96,7 +91,7 @@ fn resume_token() -> [u8; 16] {
 /// Most datagrams of one connection that are handled before it is another's turn. One packet may hold 700 empty ones.
 const BATCH: usize = 64;
 
-async fn receive_datagrams(handle: Handle, id: SessionId, connection: quinn::Connection) -> String {
+async fn receive_datagrams(handle: &Handle, id: SessionId, connection: &quinn::Connection) -> String {
     loop {
         let first = match connection.read_datagram().await {
             Ok(datagram) => datagram,
@@ -107,7 +102,7 @@ async fn receive_datagrams(handle: Handle, id: SessionId, connection: quinn::Con
         handle.drive(|world, now| {
             world.handle_datagram(id, &first, now);
             while handled < BATCH
-                && let Some(datagram) = datagram_at_hand(&connection)
+                && let Some(datagram) = datagram_at_hand(connection)
             {
                 world.handle_datagram(id, &datagram, now);
                 handled += 1;
