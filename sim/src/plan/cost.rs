@@ -22,7 +22,7 @@ use rand::seq::SliceRandom as _;
 use serde::Serialize;
 
 use super::live::{LiveRules, Lived};
-use super::{LIVE_STAGES, Planner};
+use super::{LIVE_STAGES, LiveStage, Planner};
 
 /// Settings of a comparison.
 #[derive(Clone, Debug, PartialEq)]
@@ -192,14 +192,14 @@ pub fn drawing(planner: &Planner, config: &CostConfig, mut each_round: impl FnMu
 /// If the world contradicts itself.
 pub fn live(planner: &Planner, config: &CostConfig, mut each: impl FnMut()) -> anyhow::Result<Vec<CostRow>> {
     let mut rows = Vec::new();
-    for (stage, walks) in LIVE_STAGES {
+    for LiveStage { stage, walks, policy } in LIVE_STAGES {
         let rules = |runs| LiveRules {
             seconds: config.seconds,
             walks,
-            others: 0,
-            others_leave: false,
+            policy,
             switch: config.switch.with(stage, runs),
             seed: config.seed,
+            ..LiveRules::default()
         };
         let auto = planner.live.run(&LiveRules { switch: config.switch, ..rules(true) })?;
         let planned = auto.plan.runs(stage);

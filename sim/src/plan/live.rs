@@ -10,6 +10,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Instant;
 
+use anyhow::Context as _;
 use eyeline_client::net::Driver as _;
 use eyeline_client::plan;
 use eyeline_client::session::{Session, SessionConfig};
@@ -17,7 +18,7 @@ use eyeline_client::tracking::{Ahead, TrackerConfig};
 use eyeline_protocol::{
     LocalTime, Orientation, Plan, PlanSwitch, Position, Stage as PlanStage, WorldInfo, WorldTime, codec,
 };
-use eyeline_server::policy::{PolicySettings, Visible};
+use eyeline_server::policy::PolicySettings;
 use eyeline_server::spec::{SpawnSpec, WorldSpec};
 use eyeline_server::world::{World, WorldConfig};
 use eyeline_visibility::{AllRound, AllRoundScratch, DynamicOctree, EyeRegion, Occlusion, Scene, SealedParts};
@@ -54,10 +55,19 @@ pub struct LiveRules {
     pub others: u16,
     /// Whether they leave again after an eighth of the run, and as many others come an eighth before its end.
     pub others_leave: bool,
+    /// The server's policy, by its name.
+    pub policy: &'static str,
     /// What is asked of the plan.
     pub switch: PlanSwitch,
     /// Decides everything that is left to chance.
     pub seed: u64,
+}
+
+impl Default for LiveRules {
+    fn default() -> LiveRules {
+        let (walks, others, others_leave, switch) = (false, 0, false, PlanSwitch::AUTO);
+        LiveRules { seconds: 10.0, walks, others, others_leave, policy: "visible", switch, seed: 1 }
+    }
 }
 
 /// What came of it. All but times are equal for equal rules.
@@ -125,7 +135,7 @@ impl Live {
     /// Runs server and client.
     ///
     /// # Errors
-    /// If the world contradicts itself.
+    /// If the world contradicts itself, or there is no such policy.
     pub fn run(&self, rules: &LiveRules) -> anyhow::Result<Lived> {
         let began = Instant::now();
         let config = WorldConfig::default()
@@ -134,11 +144,14 @@ impl Live {
             .with_swept(rules.switch.runs(PlanStage::Swept, true))
             .with_plan(rules.switch)
             .with_default_spawn(self.scene.bounds().centre());
+        let settings = PolicySettings::default();
         let world = match &self.stage {
-            Some(stage) => stage.world(config, "visible", &PolicySettings::default(), BEGIN)?,
+            Some(stage) => stage.world(config, rules.policy, &settings, BEGIN)?,
             None => {
                 let info = WorldInfo { name: self.spec.name.clone(), hash: [0; 32], size_bytes: 0, two_sided: false };
-                World::new(config, self.spec.clone(), info, self.scene.anchor(), Box::new(Visible), BEGIN)?
+                let policy = settings.policy(rules.policy, &info)?;
+                let policy = policy.with_context(|| format!("{} is no policy of a server", rules.policy))?;
+                World::new(config, self.spec.clone(), info, self.scene.anchor(), policy, BEGIN)?
             }
         };
         let mut run = VirtualRun::new(world, rules.seed, BEGIN);

@@ -63,7 +63,7 @@ impl Planner {
     /// If the world contradicts itself.
     pub fn plan(&self, switch: PlanSwitch, seed: u64) -> anyhow::Result<Plan> {
         let mut plan = Plan { lines: drawing_lines(switch, &self.counts().counts, &count_storeys(&self.world.scene)) };
-        let rules = LiveRules { seconds: 2.0, walks: false, others: 0, others_leave: false, switch, seed };
+        let rules = LiveRules { seconds: 2.0, switch, seed, ..LiveRules::default() };
         plan.lines.extend(self.live.run(&rules)?.plan.lines);
         Ok(plan)
     }
@@ -94,13 +94,32 @@ impl PlanRow {
     }
 }
 
-/// Stages whose cost is told by runs of server and client, and whether the eye walks in them.
-pub const LIVE_STAGES: [(PlanStage, bool); 5] = [
-    (PlanStage::Tracker, false),
-    (PlanStage::LookAgain, false),
-    (PlanStage::Exact, false),
-    (PlanStage::Sealed, true),
-    (PlanStage::Swept, true),
+/// A stage whose cost is told by runs of server and client.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LiveStage {
+    /// Which.
+    pub stage: PlanStage,
+    /// Whether the eye walks in them.
+    pub walks: bool,
+    /// The server's policy in them, by its name.
+    pub policy: &'static str,
+}
+
+impl LiveStage {
+    const fn new(stage: PlanStage, walks: bool) -> LiveStage {
+        LiveStage { stage, walks, policy: "visible" }
+    }
+}
+
+/// All of them. Only policies that look for what is near have an index to share.
+pub const LIVE_STAGES: [LiveStage; 7] = [
+    LiveStage::new(PlanStage::Tracker, false),
+    LiveStage::new(PlanStage::LookAgain, false),
+    LiveStage::new(PlanStage::Exact, false),
+    LiveStage::new(PlanStage::Sealed, true),
+    LiveStage::new(PlanStage::Swept, true),
+    LiveStage::new(PlanStage::States, false),
+    LiveStage { policy: "radius", ..LiveStage::new(PlanStage::Sharing, true) },
 ];
 
 /// Time between frames and ticks of such runs.

@@ -21,7 +21,7 @@ pub fn cost_columns() -> Vec<Column> {
     vec![
         Column::new("world", "", "which scene"),
         Column::new("stage", "", "which stage; `drawing` are whole ways to draw"),
-        Column::new("setting", "", "forced on or off; of drawing, which way"),
+        Column::new("setting", "", "forced on or off (states are told where there are any); of drawing, which way"),
         Column::new("planned", "", "whether the plan chooses this"),
         Column::new("frame_ms", "ms", "time of a frame: culling and drawing on the CPU, or both ends of a run; median"),
         Column::new("frame_ms_mean", "ms", "the same, mean: counting views beside culling shows here"),

@@ -6,7 +6,7 @@ fn planner(name: &str) -> Planner {
 
 fn rules(switch: &str) -> LiveRules {
     let switch = switch.parse().unwrap();
-    LiveRules { seconds: 4.0, walks: false, others: 0, others_leave: false, switch, seed: 7 }
+    LiveRules { seconds: 4.0, switch, seed: 7, ..LiveRules::default() }
 }
 
 /// A wall, and a place to stand before it.
@@ -114,10 +114,10 @@ fn what_walls_seal_off_from_an_eye_that_moves_costs_no_work_and_changes_nothing(
 #[test]
 fn each_live_stage_changes_work_and_nothing_that_is_said_or_drawn() {
     let planner = planner("rooms");
-    for (stage, walks) in LIVE_STAGES {
+    for LiveStage { stage, walks, policy } in LIVE_STAGES {
         let run = |runs| {
             let switch = PlanSwitch::AUTO.with(stage, runs);
-            planner.live.run(&LiveRules { switch, walks, others: 2, ..rules("auto") }).unwrap()
+            planner.live.run(&LiveRules { switch, walks, policy, others: 2, ..rules("auto") }).unwrap()
         };
         if matches!(stage, PlanStage::Swept) {
             // Bounds on the wire are others then: what is drawn is the same, and more is asked.
