@@ -210,11 +210,11 @@ fn messages_are_the_same_whether_what_is_due_is_looked_for_or_not() {
     }
 }
 
-/// `cargo test --release -p eyeline-server --lib -- --ignored --nocapture index_for_one`
+/// `cargo test --release -p eyeline-server --lib -- --ignored --nocapture from_how_many`
 #[test]
 #[ignore = "a measurement, of the release build"]
 #[expect(clippy::disallowed_methods, reason = "it measures")]
-fn an_index_for_one_watcher_costs_more_than_it_saves() {
+fn from_how_many_watchers_on_an_index_pays() {
     use std::time::Instant;
     for posts in [100, 1_000, 10_000] {
         for watchers in [1, 2, 4, 8, 16] {
