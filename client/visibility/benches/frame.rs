@@ -28,8 +28,7 @@ fn building() -> Arc<Scene> {
 }
 
 fn views() -> Vec<View> {
-    let mut rng = Pcg64::seed_from_u64(2);
-    (0..64).map(|_| made::visitor(&mut rng, SIDE, RESOLUTION)).collect()
+    made::visitors(64, SIDE, RESOLUTION)
 }
 
 /// Benchmarks culling and drawing, or culling alone.

@@ -16,8 +16,6 @@ use eyeline_visibility::{
     Culler, Delaunay, DelaunayRules, EyeRegion, FrustumBackface, Octree, OctreeRules, Plp, PlpCells, PlpCuller,
     PlpRules, PlpScratch, Resolution, Scene, Scratch, View,
 };
-use rand::SeedableRng;
-use rand_pcg::Pcg64;
 
 const SIDE: u32 = 10;
 
@@ -30,8 +28,7 @@ fn building() -> Arc<Scene> {
 }
 
 fn views() -> Vec<View> {
-    let mut rng = Pcg64::seed_from_u64(2);
-    (0..16).map(|_| made::visitor(&mut rng, SIDE, Resolution::new(320, 240))).collect()
+    made::visitors(16, SIDE, Resolution::new(320, 240))
 }
 
 fn octree(scene: &Scene, leaf_side: f64) -> PlpCells {

@@ -101,16 +101,7 @@ fn walls_in_cell_faces_and_eyes_at_cell_corners_are_culled_without_error() {
 #[test]
 fn poor_scenes_are_culled_without_error() {
     let mut rng = Pcg64::seed_from_u64(14);
-    let triangle = |corners: [[f32; 3]; 3]| Triangle {
-        corners: corners.map(Vec3::from_array),
-        sides: Sides::Both,
-        occludes: true,
-    };
-    let one = triangle([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
-    let point = triangle([[1.0, 1.0, 1.0]; 3]);
-    let kilometre = triangle([[-1e3, -0.5, -1e3], [1e3, -0.5, -1e3], [0.0, -0.5, 1e3]]);
-    let sliver = triangle([[-1e3, 0.0, 0.0], [1e3, 0.0, 1e-3], [0.0, 1e-4, 0.0]]);
-    let millimetre = triangle([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0], [0.0, 1e-3, 0.0]]);
+    let [one, point, kilometre, sliver, millimetre] = made::poor();
     let far = |t: &Triangle| Triangle { corners: t.corners.map(|c| c + Vec3::splat(1e6)), ..*t };
     for triangles in [
         Vec::new(),

@@ -113,15 +113,7 @@ fn eyes_on_vertices_in_walls_on_cell_faces_and_far_outside_do_no_harm() {
 #[test]
 fn poor_scenes_and_images_are_culled_without_error() {
     let mut rng = Pcg64::seed_from_u64(34);
-    let triangle = |corners: [[f32; 3]; 3]| Triangle {
-        corners: corners.map(Vec3::from_array),
-        sides: Sides::Both,
-        occludes: true,
-    };
-    let one = triangle([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
-    let point = triangle([[1.0, 1.0, 1.0]; 3]);
-    let kilometre = triangle([[-1e3, -0.5, -1e3], [1e3, -0.5, -1e3], [0.0, -0.5, 1e3]]);
-    let sliver = triangle([[-1e3, 0.0, 0.0], [1e3, 0.0, 1e-3], [0.0, 1e-4, 0.0]]);
+    let [one, point, kilometre, sliver, _] = made::poor();
     for triangles in
         [Vec::new(), vec![one], vec![point], vec![one; 300], vec![kilometre, sliver, one, point, kilometre]]
     {

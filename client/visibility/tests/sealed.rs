@@ -35,17 +35,7 @@ fn add_wall(
         add_wall(rng, triangles, axis, at, middle_low, high, cuts - 1 - fewer);
         return;
     }
-    let corner = |u: f32, v: f32| {
-        let mut corner = Vec3::splat(at);
-        corner[(axis + 1) % 3] = u;
-        corner[(axis + 2) % 3] = v;
-        corner
-    };
-    let [a, b, c, d] =
-        [corner(low[0], low[1]), corner(high[0], low[1]), corner(high[0], high[1]), corner(low[0], high[1])];
-    for corners in [[a, b, c], [a, c, d]] {
-        triangles.push(Triangle { corners, sides: Sides::Both, occludes: true });
-    }
+    made::add_plate(triangles, axis, at, low, high, Sides::Both);
 }
 
 /// `side` × `side` closed rooms with walls without thickness, and boxes in them, many a millimetre or less from a wall.

@@ -1,30 +1,18 @@
 //! What walls seal off is seen from nowhere in the eyes' parts: held against rays, which share no code with it.
 
+mod made;
+
 use std::sync::Arc;
 
 use eyeline_visibility::{
     Aabb, AllRound, Bound, EyeRegion, KdRules, KdTree, Occlusion, PartsInSight, RayScene, Scene, SealedParts, Sides,
-    Triangle,
 };
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 const ROOM: f32 = 6.0;
 const HEIGHT: f32 = 3.0;
-
-/// A rectangle across an axis.
-fn wall(triangles: &mut Vec<Triangle>, axis: usize, at: f32, low: [f32; 2], high: [f32; 2], sides: Sides) {
-    let corner = |u: f32, v: f32| {
-        let mut corner = Vec3::splat(at);
-        corner[(axis + 1) % 3] = u;
-        corner[(axis + 2) % 3] = v;
-        corner
-    };
-    let [a, b, c, d] =
-        [corner(low[0], low[1]), corner(high[0], low[1]), corner(high[0], high[1]), corner(low[0], high[1])];
-    triangles.extend([[a, b, c], [a, c, d]].map(|corners| Triangle { corners, sides, occludes: true }));
-}
 
 /// Rooms in a row along x with walls of paper. `doors[i]` says whether there is a hole in the wall between rooms i and
 /// i + 1.
@@ -34,21 +22,21 @@ fn row(doors: &[bool]) -> Arc<Scene> {
     for room in 0..=doors.len() {
         let [x, end] = [room as f32 * ROOM, (room + 1) as f32 * ROOM];
         for y in [0.0, HEIGHT] {
-            wall(&mut triangles, 1, y, [0.0, x], [ROOM, end], both);
+            made::add_plate(&mut triangles, 1, y, [0.0, x], [ROOM, end], both);
         }
         for z in [0.0, ROOM] {
-            wall(&mut triangles, 2, z, [x, 0.0], [end, HEIGHT], both);
+            made::add_plate(&mut triangles, 2, z, [x, 0.0], [end, HEIGHT], both);
         }
         match doors.get(room) {
             Some(true) => {
-                wall(&mut triangles, 0, end, [0.0, 0.0], [HEIGHT, 2.0], both);
-                wall(&mut triangles, 0, end, [0.0, 3.0], [HEIGHT, ROOM], both);
-                wall(&mut triangles, 0, end, [2.1, 2.0], [HEIGHT, 3.0], both);
+                made::add_plate(&mut triangles, 0, end, [0.0, 0.0], [HEIGHT, 2.0], both);
+                made::add_plate(&mut triangles, 0, end, [0.0, 3.0], [HEIGHT, ROOM], both);
+                made::add_plate(&mut triangles, 0, end, [2.1, 2.0], [HEIGHT, 3.0], both);
             }
-            _ => wall(&mut triangles, 0, end, [0.0, 0.0], [HEIGHT, ROOM], both),
+            _ => made::add_plate(&mut triangles, 0, end, [0.0, 0.0], [HEIGHT, ROOM], both),
         }
     }
-    wall(&mut triangles, 0, 0.0, [0.0, 0.0], [HEIGHT, ROOM], both);
+    made::add_plate(&mut triangles, 0, 0.0, [0.0, 0.0], [HEIGHT, ROOM], both);
     Arc::new(Scene::from_triangles(triangles))
 }
 
@@ -167,7 +155,7 @@ fn rooms(chance: &mut Pcg64) -> Scene {
                     let low = [i as f32 * lengths[u], j as f32 * lengths[v]];
                     let high = [low[0] + lengths[u], low[1] + lengths[v]];
                     let at = line as f32 * lengths[axis];
-                    let mut add = |low, high, sides| wall(&mut triangles, axis, at, low, high, sides);
+                    let mut add = |low, high, sides| made::add_plate(&mut triangles, axis, at, low, high, sides);
                     match chance.random_range(0..10) {
                         0 => {}
                         1 => {

@@ -31,6 +31,36 @@ pub fn add_box(triangles: &mut Vec<Triangle>, min: Vec3, max: Vec3, sides: Sides
     }
 }
 
+/// Adds the two triangles of a wall without thickness at `at` of an axis; `low` and `high` are along the two axes after it.
+pub fn add_plate(triangles: &mut Vec<Triangle>, axis: usize, at: f32, low: [f32; 2], high: [f32; 2], sides: Sides) {
+    let corner = |u: f32, v: f32| {
+        let mut corner = Vec3::splat(at);
+        corner[(axis + 1) % 3] = u;
+        corner[(axis + 2) % 3] = v;
+        corner
+    };
+    let [a, b, c, d] =
+        [corner(low[0], low[1]), corner(high[0], low[1]), corner(high[0], high[1]), corner(low[0], high[1])];
+    triangles.extend([[a, b, c], [a, c, d]].map(|corners| Triangle { corners, sides, occludes: true }));
+}
+
+/// Triangles that scenes are poor in: an ordinary one, one that is a point, one of a kilometre, a sliver, one of a
+/// millimetre.
+pub fn poor() -> [Triangle; 5] {
+    let triangle = |corners: [[f32; 3]; 3]| Triangle {
+        corners: corners.map(Vec3::from_array),
+        sides: Sides::Both,
+        occludes: true,
+    };
+    [
+        triangle([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+        triangle([[1.0, 1.0, 1.0]; 3]),
+        triangle([[-1e3, -0.5, -1e3], [1e3, -0.5, -1e3], [0.0, -0.5, 1e3]]),
+        triangle([[-1e3, 0.0, 0.0], [1e3, 0.0, 1e-3], [0.0, 1e-4, 0.0]]),
+        triangle([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0], [0.0, 1e-3, 0.0]]),
+    ]
+}
+
 /// A storey of `side` × `side` rooms from the origin to +x and +z, a door in each inner wall, `furniture` small boxes per
 /// room, of which some are single-sided and some are glass.
 pub fn building(side: u32, furniture: u32, seed: u64) -> Scene {
@@ -111,6 +141,12 @@ pub fn visitor(rng: &mut Pcg64, side: u32, resolution: Resolution) -> View {
     let mut along = || rng.random_range(0.2..length - 0.2);
     let eye = DVec3::new(along(), 1.6, along());
     View::level(eye, rng.random_range(0.0..TAU), 80.0_f64.to_radians(), resolution)
+}
+
+/// So many of them, always the same.
+pub fn visitors(count: usize, side: u32, resolution: Resolution) -> Vec<View> {
+    let mut rng = Pcg64::seed_from_u64(2);
+    (0..count).map(|_| visitor(&mut rng, side, resolution)).collect()
 }
 
 /// The same triangles as a .glb file of nodes with `boxes` boxes of twelve triangles each, loaded: what does not occlude
