@@ -6,6 +6,12 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, ser};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ObjectId(pub u32);
 
+impl From<ObjectId> for u32 {
+    fn from(object: ObjectId) -> u32 {
+        object.0
+    }
+}
+
 impl ObjectId {
     /// The greatest id that the wire can carry.
     pub const MAX: ObjectId = ObjectId(0xff_ffff);

@@ -1,7 +1,7 @@
 //! Q: which bounds' time is up?
 //!
 //! A calendar: buckets by time in an ordered map, and in each bucket a list, in the order in which its keys came. The lists
-//! run through one slab, and a hash map finds a key's place there. So an insertion or a cancellation costs one search
+//! run through one slab, and a map by number finds a key's place there. So an insertion or a cancellation costs one search
 //! among the *buckets*, O(log n) at the worst, and an expiry O(1): the bucket is cut off whole and its list walked. Nothing is
 //! ever scanned. Sudarsky & Gotsman 1999, §3.3, ask for the same of their skip list.
 //!
@@ -13,12 +13,10 @@
 //! what expires is dealt with in one go. Rounded *down*, since a bound believed for longer than it holds would be a lie.
 
 use std::collections::BTreeMap;
-use std::collections::hash_map::Entry;
-use std::hash::Hash;
 use std::time::Duration;
 
 use eyeline_protocol::WorldTime;
-use rustc_hash::FxHashMap;
+use eyeline_visibility::IdMap;
 
 /// A queue of expiries: at most one per key. O(log n) to insert and to cancel, in the number of different times; O(1) for each key that expires.
 ///
@@ -35,7 +33,7 @@ pub struct ExpiryQueue<K> {
     /// First free slot.
     free: u32,
     /// Where each key's entry is.
-    places: FxHashMap<K, u32>,
+    places: IdMap<u32>,
 }
 
 /// Ends of a bucket's list.
@@ -57,27 +55,26 @@ struct Slot<K> {
 /// No slot.
 const NONE: u32 = u32::MAX;
 
-impl<K: Copy + Eq + Hash> ExpiryQueue<K> {
+impl<K: Copy + Into<u32>> ExpiryQueue<K> {
     /// An empty queue whose expiries are rounded down to multiples of `quantum` in world time. Less than a microsecond, or
     /// zero, rounds nothing.
     pub fn new(quantum: Duration) -> ExpiryQueue<K> {
         let quantum = i64::try_from(quantum.as_micros()).unwrap_or(i64::MAX).max(1);
-        ExpiryQueue { quantum, buckets: BTreeMap::new(), slots: Vec::new(), free: NONE, places: FxHashMap::default() }
+        ExpiryQueue { quantum, buckets: BTreeMap::new(), slots: Vec::new(), free: NONE, places: IdMap::default() }
     }
 
     /// Lets `key` expire at `expires`, rounded down, and no more at the time that it had before.
     pub fn insert(&mut self, key: K, expires: WorldTime) {
         let due = self.round_down(expires);
-        let slot = match self.places.entry(key) {
-            Entry::Occupied(place) => {
-                let slot = *place.get();
+        let slot = match self.places.get(key.into()).copied() {
+            Some(slot) => {
                 if self.slots[slot as usize].due == due {
                     return;
                 }
                 self.unlink(slot);
                 slot
             }
-            Entry::Vacant(place) => {
+            None => {
                 let entry = Slot { key, due, previous: NONE, next: NONE };
                 let slot = if self.free == NONE {
                     self.slots.push(entry);
@@ -91,7 +88,8 @@ impl<K: Copy + Eq + Hash> ExpiryQueue<K> {
                     self.slots[slot as usize] = entry;
                     slot
                 };
-                *place.insert(slot)
+                self.places.insert(key.into(), slot);
+                slot
             }
         };
         self.link(slot, due);
@@ -100,7 +98,7 @@ impl<K: Copy + Eq + Hash> ExpiryQueue<K> {
 
     /// Takes `key` out; whether it was in.
     pub fn cancel(&mut self, key: K) -> bool {
-        let Some(slot) = self.places.remove(&key) else { return false };
+        let Some(slot) = self.places.remove(key.into()) else { return false };
         self.unlink(slot);
         self.release(slot);
         self.debug_check();
@@ -119,7 +117,7 @@ impl<K: Copy + Eq + Hash> ExpiryQueue<K> {
             let mut slot = bucket.remove().first;
             while slot != NONE {
                 let Slot { key, next, .. } = self.slots[slot as usize];
-                self.places.remove(&key);
+                self.places.remove(key.into());
                 self.release(slot);
                 expired.push(key);
                 slot = next;
@@ -130,13 +128,13 @@ impl<K: Copy + Eq + Hash> ExpiryQueue<K> {
 
     /// When `key` expires, if it is in.
     pub fn due(&self, key: K) -> Option<WorldTime> {
-        self.places.get(&key).map(|&slot| self.slots[slot as usize].due)
+        self.places.get(key.into()).map(|&slot| self.slots[slot as usize].due)
     }
 
     /// Bytes that it takes, by the capacity of its lists; an estimate where a map does not tell.
     pub fn memory_bytes(&self) -> usize {
         self.slots.capacity() * size_of::<Slot<K>>()
-            + self.places.capacity() * (size_of::<(K, u32)>() + 1)
+            + self.places.memory_bytes()
             + self.buckets.len() * size_of::<(WorldTime, Bucket)>() * 3 / 2
     }
 
@@ -210,7 +208,7 @@ impl<K: Copy + Eq + Hash> ExpiryQueue<K> {
             while slot != NONE {
                 let entry = &self.slots[slot as usize];
                 assert_eq!((entry.due, entry.previous), (due, previous), "an entry is in the wrong bucket");
-                assert_eq!(self.places.get(&entry.key), Some(&slot), "a key's place is not its entry");
+                assert_eq!(self.places.get(entry.key.into()), Some(&slot), "a key's place is not its entry");
                 found += 1;
                 previous = slot;
                 slot = entry.next;

@@ -10,6 +10,7 @@
 
 mod config;
 mod dead_reckoning;
+mod entries;
 mod expiry;
 mod explain;
 mod fuzzy;

@@ -9,9 +9,9 @@ use eyeline_protocol::{
 };
 use eyeline_visibility::{Bound, DynamicIndex, Occlusion};
 use glam::DVec3;
-use rustc_hash::FxHashMap;
 
 use super::dead_reckoning;
+use super::entries::Entries;
 use super::{
     Ahead, BeliefKind, Decision, ExpiryQueue, Explanation, Growth, Past, Sabotage, TrackerConfig, TrackerStats,
 };
@@ -112,9 +112,8 @@ pub struct Tracker {
     /// How far what is drawn may be from the truth without a word from the server, metres.
     tolerance: f64,
     classes: Vec<Class>,
-    /// D. Every step of a frame looks things up here, and of a thousand clients' beliefs none is in a cache: a search through a
-    /// tree would wait for memory at each of its levels. Nothing may depend on its order.
-    entries: FxHashMap<ObjectId, Entry>,
+    /// D.
+    entries: Entries<Entry>,
     /// T.
     index: Box<dyn DynamicIndex + Send>,
     /// Q. Exact, since a stage that ends earlier than was said would be tested earlier than was said.
@@ -177,7 +176,7 @@ impl Tracker {
             blur,
             tolerance: 0.0,
             classes,
-            entries: FxHashMap::default(),
+            entries: Entries::default(),
             index,
             queue: ExpiryQueue::new(Duration::ZERO),
             visible: BTreeSet::new(),
@@ -258,8 +257,7 @@ impl Tracker {
             + self.violations.len() * size_of::<(ObjectId, Violated)>()
             + self.early.len() * size_of::<(ObjectId, State)>();
         size_of::<Tracker>()
-            + list::<(ObjectId, Entry)>(self.entries.capacity())
-            + self.entries.capacity()
+            + self.entries.memory_bytes()
             + self.index.memory_bytes()
             + self.queue.memory_bytes()
             + in_order * 3 / 2
@@ -655,16 +653,21 @@ impl Tracker {
         expired
     }
 
-    /// Tests each object of V where it may be by now.
-    fn test_visible(&mut self, occlusion: &dyn Occlusion, now: LocalTime) {
+    /// Tests each object of V where it may be by now; those that have been hidden for long enough, or are let go of already.
+    fn test_visible(&mut self, occlusion: &dyn Occlusion, now: LocalTime) -> Vec<ObjectId> {
         // A change would have been pushed: what was not heard of for longer than this is where it was thought to be then.
         let period = self.config.frame + self.config.frame.max(self.tick);
         let silence = (period + self.round_trip.unwrap_or_default()).as_secs_f64();
         let ahead = self.ahead.time.as_secs_f64();
+        let linger = self.config.linger_frames.max(1);
+        let mut gone = Vec::new();
         self.stats.work += self.visible.len() as u64;
         for object in &self.visible {
             let Some(entry) = self.entries.get_mut(object) else { continue };
-            let Some(state) = entry.state else { continue };
+            let Some(state) = entry.state else {
+                gone.extend((entry.releasing || entry.hidden_frames >= linger).then_some(*object));
+                continue;
+            };
             let class = &self.classes[entry.class];
             // Where updates were declined, silence says nothing about the time since.
             let declined = entry.released_at.filter(|_| entry.releasing).map_or(0.0, |at| now.since(at).as_secs_f64());
@@ -673,22 +676,14 @@ impl Tracker {
             // Where it may get to by the end of the lead.
             let bound = extent_bound(class, middle, reach + class.motion.speed_max * ahead);
             entry.hidden_frames = if occlusion.hides(&bound) { entry.hidden_frames + 1 } else { 0 };
+            gone.extend((entry.releasing || entry.hidden_frames >= linger).then_some(*object));
         }
+        gone
     }
 
     /// Declines updates of what has been hidden for long enough, and lets a bound stand for it.
     fn let_go(&mut self, occlusion: &dyn Occlusion, now: LocalTime) {
-        self.test_visible(occlusion, now);
-        let linger = self.config.linger_frames.max(1);
-        let gone: Vec<ObjectId> = self
-            .visible
-            .iter()
-            .filter(|object| {
-                self.entries.get(object).is_some_and(|entry| entry.releasing || entry.hidden_frames >= linger)
-            })
-            .copied()
-            .collect();
-        for object in gone {
+        for object in self.test_visible(occlusion, now) {
             let local = self.local_tbv(object);
             let Some(entry) = self.entries.get_mut(&object) else { continue };
             if entry.releasing && entry.hidden_frames == 0 {
@@ -880,7 +875,7 @@ impl Tracker {
         }
         self.stats.exposed += 1;
         // A fresh bound helps only if it is a good deal tighter than this one has become.
-        let entry = &self.entries[&object];
+        let Some(entry) = self.entries.get(&object) else { return };
         // The server's bounds are nested, so that it may not have a tighter one before this one has grown: to ask again at
         // once would be to ask for ever.
         let fresh = (self.blur + self.classes[entry.class].motion.slack).max(tbv.radius);
@@ -1071,7 +1066,7 @@ impl Tracker {
             return;
         }
         let mut in_queue = 0;
-        for (object, entry) in &self.entries {
+        for (object, entry) in self.entries.iter() {
             assert_eq!(self.asked.contains(object), entry.ask.is_some(), "{object}: asked set and entry disagree");
             assert_eq!(
                 self.visible.contains(object),

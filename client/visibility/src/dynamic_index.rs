@@ -7,11 +7,11 @@
 //!
 //! Each node keeps the box of what is really below it and a ball around the same, which the occlusion is asked about.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use glam::DVec3;
 
-use crate::{Aabb, Bound, DynamicIndex, Occlusion};
+use crate::{Aabb, Bound, DynamicIndex, IdMap, Occlusion};
 
 /// An octree of moving bounds.
 #[derive(Clone, Debug)]
@@ -20,7 +20,7 @@ pub struct DynamicOctree {
     nodes: Vec<OctreeNode>,
     free: Vec<u32>,
     /// Where each bounded key is. Agrees with the nodes' `bounds`.
-    places: BTreeMap<u32, Place>,
+    places: IdMap<Place>,
     /// Keys that may be anywhere, and so are always exposed. Disjoint from `places`.
     unbounded: BTreeSet<u32>,
     /// Half the side of the smallest cells.
@@ -32,7 +32,7 @@ pub struct DynamicOctree {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Place {
     node: u32,
-    slot: usize,
+    slot: u32,
 }
 
 #[derive(Clone, Debug)]
@@ -85,7 +85,7 @@ impl DynamicOctree {
         DynamicOctree {
             nodes: vec![root],
             free: Vec::new(),
-            places: BTreeMap::new(),
+            places: IdMap::default(),
             unbounded: BTreeSet::new(),
             half_min,
             visits: 0,
@@ -151,7 +151,7 @@ impl DynamicOctree {
     fn add(&mut self, node: u32, entry: Entry) {
         let bounds = &mut self.node_mut(node).bounds;
         bounds.push(entry);
-        let slot = bounds.len() - 1;
+        let slot = (bounds.len() - 1) as u32;
         self.places.insert(entry.key, Place { node, slot });
         let mut at = node;
         let mut reach = reach_from(self.node(at).centre, &entry.bound);
@@ -173,8 +173,8 @@ impl DynamicOctree {
     /// Takes out what lies at `place`, without its mark in `places`.
     fn take(&mut self, place: Place) {
         let bounds = &mut self.node_mut(place.node).bounds;
-        let taken = bounds.swap_remove(place.slot);
-        if let Some(moved) = bounds.get(place.slot).map(|entry| entry.key) {
+        let taken = bounds.swap_remove(place.slot as usize);
+        if let Some(moved) = bounds.get(place.slot as usize).map(|entry| entry.key) {
             self.places.insert(moved, place);
         }
         let mut at = place.node;
@@ -232,9 +232,9 @@ impl DynamicOctree {
         if !cfg!(debug_assertions) {
             return;
         }
-        let Some(place) = self.places.get(&key) else { return };
+        let Some(place) = self.places.get(key) else { return };
         let node = self.node(place.node);
-        assert_eq!(node.bounds[place.slot].key, key, "a key is where its place says");
+        assert_eq!(node.bounds[place.slot as usize].key, key, "a key is where its place says");
         assert!(!self.unbounded.contains(&key), "a key is bounded or not");
         let mut at = place.node;
         while at != ROOT {
@@ -249,7 +249,7 @@ impl DynamicOctree {
 
 impl DynamicIndex for DynamicOctree {
     fn insert(&mut self, key: u32, bound: Bound) {
-        let old = self.places.get(&key).copied();
+        let old = self.places.get(key).copied();
         match bound.outer_box() {
             Some(aabb) => {
                 self.unbounded.remove(&key);
@@ -269,7 +269,7 @@ impl DynamicIndex for DynamicOctree {
     }
 
     fn remove(&mut self, key: u32) -> bool {
-        match self.places.remove(&key) {
+        match self.places.remove(key) {
             Some(place) => {
                 self.take(place);
                 true
@@ -319,13 +319,13 @@ impl DynamicIndex for DynamicOctree {
     }
 
     fn memory_bytes(&self) -> usize {
-        // Maps and sets keep their entries in blocks that are two thirds full on average.
-        let in_maps = self.places.len() * size_of::<(u32, Place)>() + self.unbounded.len() * size_of::<u32>();
+        // Sets keep their entries in blocks that are two thirds full on average.
+        let in_maps = self.places.memory_bytes() + self.unbounded.len() * size_of::<u32>() * 3 / 2;
         let held: usize = self.nodes.iter().map(|node| node.bounds.capacity()).sum();
         self.nodes.capacity() * size_of::<OctreeNode>()
             + held * size_of::<Entry>()
             + self.free.capacity() * size_of::<u32>()
-            + in_maps * 3 / 2
+            + in_maps
     }
 
     fn update_visits(&self) -> u64 {

@@ -5,15 +5,13 @@
 //! that box, which takes about a nanosecond for each; what touches it is asked about. An update writes one place.
 //! Without such a box every bound is asked about, and [`crate::DynamicOctree`] is the better choice.
 
-use rustc_hash::FxHashMap;
-
-use crate::{Aabb, Bound, DynamicIndex, Occlusion, Open};
+use crate::{Aabb, Bound, DynamicIndex, IdMap, Occlusion, Open};
 
 /// A flat list of moving bounds.
 #[derive(Clone, Debug, Default)]
 pub struct FlatIndex {
     /// Where each key is.
-    slots: FxHashMap<u32, u32>,
+    slots: IdMap<u32>,
     keys: Vec<u32>,
     bounds: Vec<Bound>,
     /// The bounds' boxes, rounded outward: low and high x, y and z. What has no box is infinite.
@@ -48,24 +46,23 @@ impl DynamicIndex for FlatIndex {
     fn insert(&mut self, key: u32, bound: Bound) {
         self.updates += 1;
         let sides = FlatIndex::sides_of(&bound);
-        let next = self.keys.len() as u32;
-        let slot = *self.slots.entry(key).or_insert(next) as usize;
-        if slot == self.keys.len() {
+        let Some(&slot) = self.slots.get(key) else {
+            self.slots.insert(key, self.keys.len() as u32);
             self.keys.push(key);
             self.bounds.push(bound);
             for (all, side) in self.sides.iter_mut().zip(sides) {
                 all.push(side);
             }
-        } else {
-            self.bounds[slot] = bound;
-            for (all, side) in self.sides.iter_mut().zip(sides) {
-                all[slot] = side;
-            }
+            return;
+        };
+        self.bounds[slot as usize] = bound;
+        for (all, side) in self.sides.iter_mut().zip(sides) {
+            all[slot as usize] = side;
         }
     }
 
     fn remove(&mut self, key: u32) -> bool {
-        let Some(slot) = self.slots.remove(&key) else { return false };
+        let Some(slot) = self.slots.remove(key) else { return false };
         self.updates += 1;
         let slot = slot as usize;
         self.keys.swap_remove(slot);
@@ -132,7 +129,7 @@ impl DynamicIndex for FlatIndex {
     }
 
     fn memory_bytes(&self) -> usize {
-        self.slots.capacity() * (size_of::<(u32, u32)>() + 1)
+        self.slots.memory_bytes()
             + self.keys.capacity() * size_of::<u32>()
             + self.bounds.capacity() * size_of::<Bound>()
             + self.sides.iter().map(|side| side.capacity() * size_of::<f32>()).sum::<usize>()

@@ -22,6 +22,7 @@ mod front;
 mod front_to_back;
 mod frustum;
 mod hierarchical_z;
+mod id_map;
 mod kd_tree;
 mod large_occluder;
 mod load;
@@ -79,6 +80,7 @@ pub use flat_index::FlatIndex;
 pub use front_to_back::QueryFrontToBack;
 pub use frustum::Frustum;
 pub use hierarchical_z::HierarchicalZ;
+pub use id_map::IdMap;
 pub use kd_tree::{KdRules, KdStats, KdTree};
 pub use large_occluder::{LargeOccluder, LargeOccluderRules, LargeOccluderScratch, LargeOccluderStats};
 pub use load::{

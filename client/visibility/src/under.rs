@@ -26,7 +26,7 @@ use glam::{DVec3, Vec3};
 
 use crate::occluders::Occluders;
 use crate::portals::Portals;
-use crate::under_extent::{Extent, Seen};
+use crate::under_extent::{Extent, Reach, Seen};
 use crate::under_face::{Face, Region};
 use crate::under_region::NARROW;
 use crate::{
@@ -277,7 +277,9 @@ impl UnderOcclusion {
         if !(relative.min.is_finite() && relative.max.is_finite()) || relative.is_empty() {
             return false;
         }
-        self.image.faces.iter().all(|face| self.image.hides_in(face, bound, &relative))
+        let reach = Reach::of(&relative);
+        let misses = |face: &Face| self.image.aligned && face.misses(&reach);
+        self.image.faces.iter().all(|face| misses(face) || self.image.hides_in(face, bound, &relative))
     }
 
     /// Finds out what the region, which this was started with, sees through doors in a view.
@@ -318,9 +320,9 @@ impl Image {
         let corners = occluders.corners(polygon);
         let planes = &self.edges[setup.edges[0] as usize..setup.edges[1] as usize];
         let aabb = &occluders.polygons[polygon as usize].aabb;
-        let relative = Aabb::new(aabb.min - self.eye, aabb.max - self.eye);
+        let reach = Reach::of(&Aabb::new(aabb.min - self.eye, aabb.max - self.eye));
         for face in &mut self.faces {
-            if self.aligned && matches!(face.rectangle_aligned(&relative), Seen::Outside) {
+            if self.aligned && face.misses(&reach) {
                 continue;
             }
             let mut extent = Extent::new(face);
@@ -434,10 +436,10 @@ impl Image {
         }
         let ends = joint.ends.map(|end| end - self.eye);
         let shared = self.edges[(p.edges[0] + joint.edges[0]) as usize];
-        let relative = Aabb::new(ends[0].min(ends[1]), ends[0].max(ends[1]));
+        let reach = Reach::of(&Aabb::new(ends[0].min(ends[1]), ends[0].max(ends[1])));
         let mut drawn = false;
         for face in &mut self.faces {
-            if self.aligned && matches!(face.rectangle_aligned(&relative), Seen::Outside) {
+            if self.aligned && face.misses(&reach) {
                 continue;
             }
             let mut extent = Extent::new(face);

@@ -82,6 +82,22 @@ impl Extent {
     }
 }
 
+/// How far a box reaches, once for all faces of a cube: most of these see nothing of it, which one comparison tells then.
+pub(crate) struct Reach {
+    /// Depth of its nearest point that a face could see: in a face's image, z is at least |x| and |y| (90°).
+    nearest: f64,
+    /// How far it goes along +x, −x, +y, −y, +z and −z, by [`Face::side`].
+    far: [f64; 6],
+}
+
+impl Reach {
+    pub fn of(relative: &Aabb) -> Reach {
+        let Aabb { min, max } = *relative;
+        let nearest = min.max(-max).max(DVec3::ZERO).max_element();
+        Reach { nearest, far: [max.x, -min.x, max.y, -min.y, max.z, -min.z] }
+    }
+}
+
 pub(crate) enum Seen {
     /// No point is in the image.
     Outside,
@@ -98,6 +114,12 @@ pub(crate) struct Rectangle {
 }
 
 impl Face {
+    /// Whether no point of the box is in this face of a cube: then [`Face::rectangle_aligned`] is outside.
+    #[inline]
+    pub fn misses(&self, reach: &Reach) -> bool {
+        reach.far[self.side] < reach.nearest
+    }
+
     /// A box with sides along the image's axes, exact up to rounding.
     ///
     /// In the image, z is at least |x| and |y| (90°), so the nearest point of the box there has

@@ -33,6 +33,8 @@ pub(crate) struct Face {
     pub right: DVec3,
     pub up: DVec3,
     pub forward: DVec3,
+    /// Which way `forward` points most: 0 to 5 for +x, −x, +y, −y, +z and −z. Only faces of a cube use it.
+    pub side: usize,
     /// Pixels per unit of tangent.
     pub focal: f64,
     pub width: usize,
@@ -243,10 +245,12 @@ impl Face {
     pub fn new([right, up, forward]: [DVec3; 3], focal: f64, width: usize, height: usize) -> Face {
         assert!(width.max(height) <= SIDE_MAX, "an image of {width}x{height} pixels is larger than {SIDE_MAX} a side");
         let (tiles_x, tiles_y) = (width.div_ceil(TILE), height.div_ceil(TILE));
+        let axis = forward.abs().max_position();
         let mut face = Face {
             right,
             up,
             forward,
+            side: 2 * axis + usize::from(forward[axis] < 0.0),
             focal,
             width,
             height,

@@ -43,7 +43,7 @@ use crate::Aabb;
 use crate::closers::{self, Closer};
 use crate::occluders::Occluders;
 use crate::under::{EdgePlane, Heights, Image, NONE, OCCLUDER_NEAR, ROUNDING, Setup};
-use crate::under_extent::{Extent, Seen};
+use crate::under_extent::{Extent, Reach};
 use crate::under_face::{Face, Linear, Region};
 
 /// A ball that is nearer to a polygon's plane than this part of its size does not fuse it, because of rounding.
@@ -279,9 +279,9 @@ impl Image {
         let shown = fusion.members[0];
         let Some(far) = setups[0] else { return };
         let aabb = occluders.polygons[shown as usize].aabb;
-        let relative = Aabb::new(aabb.min - self.eye, aabb.max - self.eye);
+        let reach = Reach::of(&Aabb::new(aabb.min - self.eye, aabb.max - self.eye));
         for face in &mut self.faces {
-            if self.aligned && matches!(face.rectangle_aligned(&relative), Seen::Outside) {
+            if self.aligned && face.misses(&reach) {
                 continue;
             }
             let mut extent = Extent::new(face);

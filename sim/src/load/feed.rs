@@ -6,6 +6,7 @@
 //! takes `ONE_WAY` and loses nothing.
 
 use std::collections::BTreeMap;
+use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -115,6 +116,8 @@ struct Player {
 /// A recording under way.
 struct Recorder {
     world: World,
+    /// Whether all are in and have settled.
+    has_settled: bool,
     players: Vec<Player>,
     ids: Vec<SessionId>,
     by_id: BTreeMap<SessionId, usize>,
@@ -140,6 +143,7 @@ impl Feed {
         let ways = Arc::new(Ways::record(&stage.ground(), bounds, &rules.ways)?);
         let mut recorder = Recorder {
             world: world(stage)?,
+            has_settled: false,
             players: Vec::new(),
             ids: Vec::new(),
             by_id: BTreeMap::new(),
@@ -153,6 +157,7 @@ impl Feed {
             let at = WorldTime::ZERO + period * (number + 1);
             if number == join_ticks + rules.settle_ticks {
                 settled = recorder.said.len();
+                recorder.has_settled = true;
             }
             recorder.say(0, at, Input::Tick);
             recorder.deliver(at);
@@ -308,6 +313,12 @@ fn say(world: &mut World, ids: &mut Vec<SessionId>, who: u32, at: WorldTime, inp
     }
 }
 
+/// All that a client does itself once all have settled: what callgrind is told to collect by the example `tracker_cost`.
+#[inline(never)]
+fn client_part<T>(work: impl FnOnce() -> T) -> T {
+    black_box(work())
+}
+
 impl Player {
     /// Culls as the newest frame would have if there is something to track since.
     fn look_at_news(&mut self) {
@@ -315,6 +326,56 @@ impl Player {
             self.driver.cull(self.ahead);
             self.has_looked = true;
         }
+    }
+
+    /// Takes what the world has to say; what can't wait to be answered.
+    fn hear(&mut self, transmit: &Transmit, now: LocalTime) -> Vec<Vec<u8>> {
+        self.now = self.now.max(now);
+        match transmit {
+            Transmit::Control(bytes) => {
+                self.reader.push(bytes);
+                while let Ok(Some(message)) = self.reader.next_message() {
+                    self.session.handle_control(&message);
+                }
+                self.look_at_news();
+                if let Some(occlusion) = self.driver.occlusion().filter(|_| self.has_looked) {
+                    self.session.handle_news(occlusion);
+                }
+            }
+            Transmit::Datagram(bytes) => {
+                let occlusion = self.driver.occlusion().filter(|_| self.has_looked);
+                self.session.handle_datagram(bytes, occlusion, self.now);
+            }
+            _ => {}
+        }
+        std::iter::from_fn(|| self.session.poll_urgent(DATAGRAM_LIMIT, self.now)).collect()
+    }
+
+    fn frame(&mut self, at: LocalTime) {
+        self.now = self.now.max(at);
+        let now = self.now;
+        for pose in self.driver.poses(&self.session, now) {
+            self.session.set_pose(pose.object, pose.position, pose.orientation);
+        }
+        let ahead = self.session.ahead();
+        // As the client's own loop does: while nothing is tracked nobody need know what hides things.
+        (self.has_looked, self.ahead) = (self.session.tracks() || !self.session.looks(), ahead);
+        let time = if self.has_looked {
+            self.driver.cull(ahead);
+            self.driver.occlusion().and_then(|occlusion| self.session.frame(ahead, occlusion, now))
+        } else {
+            self.session.frame_alone(ahead, now)
+        };
+        let none = Duration::ZERO;
+        let report =
+            FrameReport { frame: self.frame, began: now, time, cull: none, track: none, late: none, skipped: 0 };
+        self.driver.frame_done(&mut self.session, &report);
+        self.frame += 1;
+    }
+
+    /// Its datagrams.
+    fn datagrams(&mut self) -> Vec<Vec<u8>> {
+        std::iter::from_fn(|| self.session.poll_datagram(DATAGRAM_LIMIT, self.now)).collect()
     }
 }
 
@@ -335,14 +396,18 @@ impl Recorder {
         self.deliver(at);
     }
 
+    /// Lets a player work.
+    fn play<T>(&mut self, who: usize, work: impl FnOnce(&mut Player) -> T) -> T {
+        let player = &mut self.players[who];
+        if self.has_settled { client_part(|| work(player)) } else { work(player) }
+    }
+
     /// Sends what a player has to say, and lets it hear the answers, until nobody has more to say.
     fn speak(&mut self, who: usize, at: WorldTime) {
         while let Some(bytes) = self.players[who].session.poll_control() {
             self.say(who, at + ONE_WAY, Input::Control(bytes[4..].to_vec()));
         }
-        loop {
-            let player = &mut self.players[who];
-            let Some(bytes) = player.session.poll_datagram(DATAGRAM_LIMIT, player.now) else { break };
+        for bytes in self.play(who, Player::datagrams) {
             self.say(who, at + ONE_WAY, Input::Datagram(bytes));
         }
         self.deliver(at + ONE_WAY);
@@ -352,56 +417,15 @@ impl Recorder {
     fn deliver(&mut self, at: WorldTime) {
         while let Some((id, transmit)) = self.world.poll_transmit(at) {
             let Some(&who) = self.by_id.get(&id) else { continue };
-            let player = &mut self.players[who];
-            player.now = player.now.max(LocalTime::from_micros((at + ONE_WAY).micros()));
-            match transmit {
-                Transmit::Control(bytes) => {
-                    player.reader.push(&bytes);
-                    while let Ok(Some(message)) = player.reader.next_message() {
-                        player.session.handle_control(&message);
-                    }
-                    player.look_at_news();
-                    if let Some(occlusion) = player.driver.occlusion().filter(|_| player.has_looked) {
-                        player.session.handle_news(occlusion);
-                    }
-                }
-                Transmit::Datagram(bytes) => {
-                    let occlusion = player.driver.occlusion().filter(|_| player.has_looked);
-                    player.session.handle_datagram(&bytes, occlusion, player.now);
-                }
-                _ => {}
-            }
-            let mut urgent = Vec::new();
-            while let Some(bytes) = player.session.poll_urgent(DATAGRAM_LIMIT, player.now) {
-                urgent.push(bytes);
-            }
-            for bytes in urgent {
+            let now = LocalTime::from_micros((at + ONE_WAY).micros());
+            for bytes in self.play(who, |player| player.hear(&transmit, now)) {
                 self.say(who, at + 2 * ONE_WAY, Input::Datagram(bytes));
             }
         }
     }
 
     fn frame(&mut self, who: usize, at: WorldTime) {
-        let player = &mut self.players[who];
-        player.now = player.now.max(LocalTime::from_micros(at.micros()));
-        let now = player.now;
-        for pose in player.driver.poses(&player.session, now) {
-            player.session.set_pose(pose.object, pose.position, pose.orientation);
-        }
-        let ahead = player.session.ahead();
-        // As the client's own loop does: while nothing is tracked nobody need know what hides things.
-        (player.has_looked, player.ahead) = (player.session.tracks() || !player.session.looks(), ahead);
-        let time = if player.has_looked {
-            player.driver.cull(ahead);
-            player.driver.occlusion().and_then(|occlusion| player.session.frame(ahead, occlusion, now))
-        } else {
-            player.session.frame_alone(ahead, now)
-        };
-        let none = Duration::ZERO;
-        let report =
-            FrameReport { frame: player.frame, began: now, time, cull: none, track: none, late: none, skipped: 0 };
-        player.driver.frame_done(&mut player.session, &report);
-        player.frame += 1;
+        self.play(who, |player| player.frame(LocalTime::from_micros(at.micros())));
         self.speak(who, at);
     }
 }

@@ -31,6 +31,9 @@ const COLUMN: f64 = 0.25;
 /// Most columns along a side; a larger world has wider ones.
 const COLUMNS_MAX: f64 = 1024.0;
 
+/// By how much bounds are taken to be wider than they are, columns: more than rounding comes to within [`COLUMNS_MAX`].
+const HAIR: f64 = 1e-9;
+
 /// How far columns reach beyond the scene, to the sides and up and down, metres: bounds grow through walls and floors, where they
 /// are as hidden as behind them.
 const BEYOND: DVec3 = DVec3::new(16.0, 64.0, 16.0);
@@ -43,6 +46,8 @@ const START_INSET: f64 = 0.6;
 struct Columns {
     bounds: Aabb,
     side: f64,
+    /// Columns in a metre.
+    per_metre: f64,
     /// Columns along x.
     width: usize,
     /// Columns along z.
@@ -92,6 +97,12 @@ impl Exposed {
         (0..self.rows).filter(|row| (z.0..=z.1).contains(&(self.first.1 + row))).any(|row| self.any_in_row(row, x))
     }
 
+    /// Whether this column was in sight.
+    fn has(&self, x: usize, z: usize) -> bool {
+        let (x, row) = (x.wrapping_sub(self.first.0), z.wrapping_sub(self.first.1));
+        x < self.columns && row < self.rows && self.bits[row * self.words + x / 64] >> (x % 64) & 1 == 1
+    }
+
     /// Whether any column of the range (ends included) was in sight, in this row of the rectangle.
     fn any_in_row(&self, row: usize, x: (usize, usize)) -> bool {
         self.any_in(&self.bits[row * self.words..][..self.words], x)
@@ -123,7 +134,7 @@ impl Columns {
         let side = COLUMN.max(size.x.max(size.z) / COLUMNS_MAX);
         let count = |length: f64| (length / side).ceil().max(1.0) as usize;
         let (width, depth) = (count(size.x), count(size.z));
-        Columns { bounds, side, width, depth }
+        Columns { bounds, side, per_metre: side.recip(), width, depth }
     }
 
     /// The box around columns `x` and `z` (half-open ranges).
@@ -160,41 +171,47 @@ impl Columns {
 
     /// Whether all that `bound` touches was hidden in `exposed`. What reaches beyond all columns is not.
     fn hides(&self, exposed: &Exposed, bound: &Bound) -> bool {
-        let Some(aabb) = bound.outer_box().filter(|aabb| self.bounds.contains_box(aabb)) else { return false };
-        // A hair wider, so that rounding leaves out no column that is touched.
-        let from = (aabb.min - self.bounds.min) / self.side - 1e-9;
-        let to = (aabb.max - self.bounds.min) / self.side + 1e-9;
-        let column = |at: f64, count: usize| (at.max(0.0) as usize).min(count - 1);
-        let (near, far) = (column(from.z, self.depth), column(to.z, self.depth));
+        // From above what is round fills its square to four fifths.
+        let (centre, half, is_round) = match *bound {
+            Bound::Upright { centre, radius, half_height } => (centre, DVec3::new(radius, half_height, radius), true),
+            Bound::Sphere { centre, radius } => (centre, DVec3::splat(radius), true),
+            Bound::Box(aabb) => (aabb.centre(), 0.5 * aabb.size(), false),
+            Bound::Everywhere => return false,
+        };
+        // In columns from here on, and a hair wider, so that rounding leaves out no column that is touched.
+        let (middle, half) = ((centre - self.bounds.min) * self.per_metre, half * self.per_metre);
+        let (from, to) = (middle - half - HAIR, middle + half + HAIR);
+        let is_known = from.cmpge(DVec3::ZERO).all() && to.cmple(self.bounds.size() * self.per_metre).all();
+        if !(is_known && half.cmpge(DVec3::ZERO).all()) {
+            return false;
+        }
+        // Half of all questions are about what is in sight, and its middle mostly is too.
+        if exposed.has(middle.x as usize, middle.z as usize) {
+            return false;
+        }
+        let column = |at: f64| (at.max(0.0) as usize).min(self.width - 1);
+        let (near, far) = (from.z as usize, to.z as usize);
         let end = exposed.first.1 + exposed.rows;
         if exposed.rows == 0 || far < exposed.first.1 || near >= end {
             return true;
         }
         let rows = near.max(exposed.first.1) - exposed.first.1..(far + 1).min(end) - exposed.first.1;
-        // From above what is round fills its square to four fifths: of rows only its widest chord there counts.
-        let disc = match *bound {
-            Bound::Upright { centre, radius, .. } | Bound::Sphere { centre, radius } => {
-                let middle = (centre - self.bounds.min) / self.side;
-                Some((middle.x, middle.z - exposed.first.1 as f64, radius / self.side * (1.0 + 1e-9) + 1e-9))
-            }
-            Bound::Box(_) | Bound::Everywhere => None,
-        };
-        // Columns that it touches in rows `first` to `end` of the rectangle, at most.
+        let square = (column(from.x), column(to.x));
+        // Columns that it touches in rows `first` to `end` of the rectangle, at most: of what is round its widest chord there.
         let chord = |first: usize, end: usize| {
-            let (left, right) = match disc {
-                Some((x, z, radius)) => {
-                    let off = (first as f64 - z).max(z - end as f64).max(0.0);
-                    let half = (radius * radius - off * off).max(0.0).sqrt() + 1e-9;
-                    ((x - half).max(from.x), (x + half).min(to.x))
-                }
-                None => (from.x, to.x),
-            };
-            (column(left, self.width), column(right, self.width))
+            if !is_round {
+                return square;
+            }
+            let (z, radius) = (middle.z - exposed.first.1 as f64, half.x * (1.0 + 1e-9) + HAIR);
+            let off = (first as f64 - z).max(z - end as f64).max(0.0);
+            let across = (radius * radius - off * off).max(0.0).sqrt() + HAIR;
+            (column((middle.x - across).max(from.x)), column((middle.x + across).min(to.x)))
         };
         !(rows.start / BAND..rows.end.div_ceil(BAND)).any(|band| {
-            let own = rows.start.max(band * BAND)..rows.end.min((band + 1) * BAND);
-            exposed.any_in_band(band, chord(own.start, own.end))
-                && own.into_iter().any(|row| exposed.any_in_row(row, chord(row, row + 1)))
+            let mut own = rows.start.max(band * BAND)..rows.end.min((band + 1) * BAND);
+            exposed.any_in_band(band, square)
+                && exposed.any_in_band(band, chord(own.start, own.end))
+                && own.any(|row| exposed.any_in_row(row, chord(row, row + 1)))
         })
     }
 
