@@ -121,7 +121,7 @@ impl Inspector {
             let plp = Plp::new(Arc::clone(scene), PlpCells::Boxes(Arc::clone(&boxes)), PlpRules::paper());
             let (cplp, tiles) = (Cplp::new(boxes), QueryKind::ItemBufferTiled.back_end());
             let (scratch, tiles_scratch) = (PlpScratch::default(), CplpScratch::default());
-            let occupancy = OccupancyQuery::new(QueryKind::ItemBuffer.back_end(), Occupancy::Single);
+            let occupancy = OccupancyQuery::new(QueryKind::ItemBuffer.back_end(), Occupancy::Always);
             Cells { octree, plp, scratch, cplp, tiles, occupancy, tiles_scratch }
         })
     }

@@ -55,6 +55,9 @@ pub struct Traversal {
     /// Depths compared, pixels or tiles, by queries about boxes that turned out to be seen: what an occupancy map spares. 0 for
     /// cullers that do not count them.
     pub seen_z_tests: u64,
+    /// Cells of which an occupancy map was asked, and of which it, or a few pixels beside it, knew that they are seen. 0 for cullers without
+    /// maps.
+    pub mapped: [usize; 2],
     /// Values that answers to queries brought back to the host: pixels of an item buffer, bins, flags, counters. 0 for cullers that ask
     /// no query back end.
     pub read_back: u64,

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use crate::raster_sampled::{Coverage, MappedTarget};
-use crate::{Aabb, Budget, Cplp, EyeRegion, ItemBuffer, MaskedCplp, OctreeRules, Scene, Scratch, Traversal, View};
+use crate::{
+    Aabb, Budget, Cplp, EyeRegion, ItemBuffer, MaskedCplp, Occupancy, OctreeRules, Scene, Scratch, Traversal, View,
+};
 
 /// A static culler. Shared by workers, each of which brings its scratch.
 ///
@@ -93,14 +95,14 @@ pub struct CplpCuller {
     scene: Arc<Scene>,
     cplp: Arc<Cplp>,
     budget: Budget,
-    mapped: bool,
+    occupancy: Occupancy,
 }
 
 impl CplpCuller {
     /// Culls with cells that were made for this scene.
     pub fn new(scene: Arc<Scene>, cplp: Arc<Cplp>, budget: Budget) -> CplpCuller {
         assert_eq!(scene.triangles().len(), cplp.tessellation().primitive_total(), "the cells are another scene's");
-        CplpCuller { scene, cplp, budget, mapped: false }
+        CplpCuller { scene, cplp, budget, occupancy: Occupancy::Off }
     }
 
     /// Makes octree cells by default rules.
@@ -110,8 +112,8 @@ impl CplpCuller {
     }
 
     /// Whether an occupancy map is asked before the depth buffer. Cells are asked one by one: there are no batches.
-    pub fn with_occupancy_map(self, mapped: bool) -> CplpCuller {
-        CplpCuller { mapped, ..self }
+    pub fn with_occupancy(self, occupancy: Occupancy) -> CplpCuller {
+        CplpCuller { occupancy, ..self }
     }
 
     /// The traversal and its cells.
@@ -126,10 +128,12 @@ impl Culler for CplpCuller {
             return everything(&self.scene);
         }
         let Scratch { depth, maps, cplp, .. } = scratch;
-        let mut traversal = if self.mapped {
+        let mut traversal = if self.occupancy != Occupancy::Off {
+            maps.map.set_lasts(self.occupancy == Occupancy::Always);
             maps.map.begin(depth, &self.cplp.tessellation().root());
             let mut target = MappedTarget { target: depth.target(&self.scene), map: &mut maps.map };
-            self.cplp.traverse(&self.scene, region, self.budget, &mut target, cplp)
+            let traversal = self.cplp.traverse(&self.scene, region, self.budget, &mut target, cplp);
+            Traversal { mapped: maps.map.asked(), ..traversal }
         } else {
             self.cplp.traverse(&self.scene, region, self.budget, &mut depth.target(&self.scene), cplp)
         };

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use crate::culler::everything;
-use crate::occupancy_map::{Batches, Occupancy, OccupancyMap, is_foreseen};
+use crate::occupancy_map::{Batches, Occupancy, OccupancyMap};
 use crate::query::{test, test_ahead};
 use crate::raster_sampled::{BoxImage, BoxPlace, BoxRectangle, Marks};
 use crate::{
@@ -71,15 +71,17 @@ impl Culler for QueryFrontToBack {
             order.push((distance, number));
         }
         order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        maps.map.set_lasts(self.occupancy == Occupancy::Always);
         let mut walk = Walk { culler: self, depth, leaves, done: Traversal::default() };
         match self.occupancy {
             Occupancy::Off => walk.ask_all(&order),
-            Occupancy::Single => walk.ask_what_is_not_foreseen(&order, maps),
+            Occupancy::Single | Occupancy::Always => walk.ask_what_is_not_foreseen(&order, maps),
             Occupancy::Batched => walk.ask_in_batches(&order, maps),
         }
         let Walk { done, .. } = walk;
         leaves.order = order;
-        let done = Traversal { seen_z_tests: depth.seen_z_tests(), ..done };
+        let mapped = if self.occupancy == Occupancy::Off { [0; 2] } else { maps.map.asked() };
+        let done = Traversal { seen_z_tests: depth.seen_z_tests(), mapped, ..done };
         leaves.finish(done, depth.z_tests())
     }
 }
@@ -104,17 +106,22 @@ impl Walk<'_> {
 
     fn ask_what_is_not_foreseen(&mut self, order: &[(f64, u32)], Maps { map, rectangles, .. }: &mut Maps) {
         map.begin(self.depth, &self.culler.tessellation.root());
+        self.ask_one_by_one(order, map, rectangles);
+    }
+
+    /// Asks about cells that are not waiting, and draws each at once if it is seen.
+    fn ask_one_by_one(&mut self, order: &[(f64, u32)], map: &mut OccupancyMap, rectangles: &[Place]) {
         for &(_, number) in order {
             let (cell, rectangle) = rectangles[number as usize];
             let seen = rectangle.is_none_or(|rectangle| {
                 let image = self.depth.box_image(self.culler.tessellation.cell(cell), rectangle);
-                map.shows(&image) || {
+                (!map.is_given_up() && map.count(map.shows(&image))) || {
                     self.done.queries += 1;
                     test_ahead(self.depth, &image).0
                 }
             });
             if seen {
-                self.draw(cell, map);
+                self.draw_mapped(cell, map);
             }
         }
     }
@@ -123,14 +130,19 @@ impl Walk<'_> {
         map.begin(self.depth, &self.culler.tessellation.root());
         batches.begin();
         let mut waiting: [Vec<(CellId, BoxImage)>; Batches::COUNT] = Default::default();
-        for &(_, number) in order {
+        for (at, &(_, number)) in order.iter().enumerate() {
+            if map.is_given_up() {
+                // There is no set-up cost here that batches would save.
+                self.ask_waiting(&mut waiting, map);
+                return self.ask_one_by_one(&order[at..], map, rectangles);
+            }
             let (cell, rectangle) = rectangles[number as usize];
             let image = rectangle.map(|rectangle| self.depth.box_image(self.culler.tessellation.cell(cell), rectangle));
             match image {
-                Some(image) if !is_foreseen(map, self.depth, true, &image) => {
+                Some(image) if !map.count(map.shows(&image)) => {
                     waiting[batches.place(map.scale(), image.x, image.y)].push((cell, image));
                 }
-                _ => self.draw(cell, map),
+                _ => self.draw_mapped(cell, map),
             }
             if waiting[Batches::COUNT - 1].len() >= LAST_BATCH_MAX {
                 self.ask_waiting(&mut waiting, map);
@@ -146,8 +158,12 @@ impl Walk<'_> {
             self.done.queries += batch.len();
             self.done.passes += usize::from(!batch.is_empty());
             batch.retain(|(_, image)| test_ahead(self.depth, image).0);
-            batch.drain(..).for_each(|(cell, _)| self.draw(cell, map));
+            batch.drain(..).for_each(|(cell, _)| self.draw_mapped(cell, map));
         }
+    }
+
+    fn draw_mapped(&mut self, cell: CellId, map: &mut OccupancyMap) {
+        if map.is_given_up() { self.draw(cell, &mut ()) } else { self.draw(cell, map) }
     }
 
     fn draw(&mut self, cell: CellId, marks: &mut impl Marks) {
@@ -167,8 +183,11 @@ pub(crate) struct Maps {
     pub(crate) map: OccupancyMap,
     batches: Batches,
     /// Cells in view with their rectangles, so that these are not found twice; none of what touches the near plane.
-    rectangles: Vec<(CellId, Option<BoxRectangle>)>,
+    rectangles: Vec<Place>,
 }
+
+/// A cell and its rectangle.
+type Place = (CellId, Option<BoxRectangle>);
 
 /// Distance from an eye to the nearest corner of a box, squared: the order of Staneker et al. 2003, §4.2.
 pub(crate) fn nearest_corner(aabb: &Aabb, eye: DVec3) -> f64 {

@@ -17,8 +17,8 @@ use crate::culler::everything;
 use crate::occupancy_map::{PYRAMID_CORNER_ROWS, few_pixels_pass};
 use crate::raster_sampled::{BoxImage, BoxPlace, TILE};
 use crate::{
-    Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, OccupancyMap, Octree, OctreeRules, Plp, Scene,
-    Scratch, Tessellation, Traversal, Triangle, View,
+    Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, Occupancy, OccupancyMap, Octree, OctreeRules, Plp,
+    Scene, Scratch, Tessellation, Traversal, Triangle, View,
 };
 
 /// An octree against a Z-pyramid. An eye region that is not the view's eye gets everything.
@@ -28,14 +28,14 @@ pub struct HierarchicalZ {
     octree: Arc<Octree>,
     /// Who chooses occluders, and how many triangles.
     plp: Option<(Arc<Plp>, usize)>,
-    mapped: bool,
+    occupancy: Occupancy,
 }
 
 impl HierarchicalZ {
     /// Culls with cells that were made for this scene.
     pub fn new(scene: Arc<Scene>, octree: Arc<Octree>) -> HierarchicalZ {
         assert_eq!(scene.triangles().len(), octree.primitive_total(), "the octree is another scene's");
-        HierarchicalZ { scene, octree, plp: None, mapped: false }
+        HierarchicalZ { scene, octree, plp: None, occupancy: Occupancy::Off }
     }
 
     /// Makes the octree by default rules.
@@ -54,8 +54,8 @@ impl HierarchicalZ {
     }
 
     /// Whether an occupancy map is asked before the pyramid. Nodes are asked one by one: there are no batches.
-    pub fn with_occupancy_map(self, mapped: bool) -> HierarchicalZ {
-        HierarchicalZ { mapped, ..self }
+    pub fn with_occupancy(self, occupancy: Occupancy) -> HierarchicalZ {
+        HierarchicalZ { occupancy, ..self }
     }
 }
 
@@ -63,8 +63,8 @@ impl Culler for HierarchicalZ {
     fn cull(&self, view: &View, region: EyeRegion, scratch: &mut Scratch) -> Culled {
         let chosen = |(plp, budget): &(Arc<Plp>, usize)| plp.occluders(view, *budget, &mut scratch.plp);
         let first = self.plp.as_ref().map_or_else(Vec::new, chosen);
-        let root = self.mapped.then(|| self.octree.root());
-        let Some((image, leaves)) = scratch.begin_pyramid(view, region, root.as_ref()) else {
+        let root = self.octree.root();
+        let Some((image, leaves)) = scratch.begin_pyramid(view, region, self.occupancy, &root) else {
             return everything(&self.scene);
         };
         leaves.begin(&*self.octree);
@@ -82,6 +82,7 @@ impl Culler for HierarchicalZ {
             seen
         });
         traversal.seen_z_tests = image.depth.seen_z_tests();
+        traversal.mapped = image.map.as_ref().map_or([0; 2], OccupancyMap::asked);
         leaves.finish(traversal, image.depth.z_tests())
     }
 }
@@ -107,11 +108,12 @@ impl PyramidImage {
     }
 
     /// Forgets everything and starts an image of another view.
-    pub(crate) fn begin(&mut self, view: &View, scene: Option<&Aabb>) {
+    pub(crate) fn begin(&mut self, view: &View, occupancy: Occupancy, scene: &Aabb) {
         self.depth.begin(view);
         self.pyramid.begin(&self.depth);
-        self.map = scene.map(|scene| {
+        self.map = (occupancy != Occupancy::Off).then(|| {
             let mut map = self.map.take().unwrap_or_default();
+            map.set_lasts(occupancy == Occupancy::Always);
             map.begin(&self.depth, scene);
             map
         });
@@ -120,8 +122,8 @@ impl PyramidImage {
     /// Draws those of the triangles that occlude.
     pub(crate) fn draw<'a>(&mut self, triangles: impl IntoIterator<Item = &'a Triangle>) {
         match &mut self.map {
-            Some(map) => self.depth.draw_triangles_marking(triangles, map),
-            None => self.depth.draw_triangles(triangles),
+            Some(map) if !map.is_given_up() => self.depth.draw_triangles_marking(triangles, map),
+            _ => self.depth.draw_triangles(triangles),
         }
         self.pyramid.mark_drawn(&mut self.depth);
     }
@@ -131,10 +133,9 @@ impl PyramidImage {
             BoxPlace::Outside => false,
             BoxPlace::Touching => true,
             BoxPlace::In(image) => {
-                let foreseen = self
-                    .map
-                    .as_ref()
-                    .is_some_and(|map| map.shows(&image) || few_pixels_pass(&self.depth, &image, PYRAMID_CORNER_ROWS));
+                let foreseen = self.map.as_ref().filter(|map| !map.is_given_up()).is_some_and(|map| {
+                    map.count(map.shows(&image) || few_pixels_pass(&self.depth, &image, PYRAMID_CORNER_ROWS))
+                });
                 foreseen || self.pyramid.sees_image(&self.depth, &image)
             }
         }

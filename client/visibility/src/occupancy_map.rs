@@ -18,6 +18,8 @@
 mod batches;
 mod query;
 
+use std::cell::Cell;
+
 use crate::raster_sampled::{BoxImage, BoxPlace, Marks};
 use crate::{Aabb, DepthBuffer, PixelRect, Scene};
 
@@ -30,12 +32,20 @@ pub enum Occupancy {
     /// Not at all.
     #[default]
     Off,
-    /// One map that spares queries of what is certainly seen; the rest is asked as without it (§3.1).
+    /// One map that spares queries of what is certainly seen; the rest is asked as without it (§3.1). Where it knows too little of a
+    /// frame to pay, it is left alone for the rest of that frame.
     Single,
+    /// The same, asked to the end of every frame: to measure what a map spares.
+    Always,
     /// In addition, the rest waits until everything that is certainly seen was drawn, and is then asked in at most five
     /// batches, nearest corners first (§3.2).
     Batched,
 }
+
+/// A map that foresees fewer than one of [`WORTH`] boxes among [`TRIAL`] in a row is given up for the rest of the frame: to mark and
+/// to ask then takes longer than the queries that are spared. Counted anew in each frame, so that what a frame shows hangs on no other.
+const TRIAL: u32 = 256;
+const WORTH: u32 = 8;
 
 /// Columns and rows of tiles of a map.
 const COLUMNS: usize = 256;
@@ -181,6 +191,12 @@ pub struct OccupancyMap {
     scale: Scale,
     bits: Bits,
     waiting: Waiting,
+    /// Boxes asked about in this frame, and those that were known to be seen.
+    asked: [Cell<u32>; 2],
+    /// Of these, how many were known when the trial under way began.
+    known: Cell<u32>,
+    lasts: bool,
+    given_up: Cell<bool>,
 }
 
 /// Columns of tiles, first to last, that a piece under way was drawn into in a row of tiles: a row of tiles holds several rows of
@@ -198,9 +214,28 @@ impl OccupancyMap {
     /// Bytes of one map's bits.
     pub const BYTES: usize = size_of::<Bits>();
 
-    /// A map of no image yet.
+    /// A map of no image yet, that is never given up.
     pub fn new() -> OccupancyMap {
-        OccupancyMap { scale: Scale::default(), bits: Bits::EMPTY, waiting: NOTHING_WAITS }
+        OccupancyMap {
+            scale: Scale::default(),
+            bits: Bits::EMPTY,
+            waiting: NOTHING_WAITS,
+            asked: Default::default(),
+            known: Cell::new(0),
+            lasts: true,
+            given_up: Cell::new(false),
+        }
+    }
+
+    /// Whether the map is to be asked and marked to the end of each frame, from the next one on, or given up where it knows too little.
+    pub(crate) fn set_lasts(&mut self, lasts: bool) {
+        self.lasts = lasts;
+    }
+
+    /// Whether nobody is to mark it any more, and so nobody may ask it, until it is begun again.
+    #[inline]
+    pub fn is_given_up(&self) -> bool {
+        self.given_up.get()
     }
 
     /// Forgets everything and starts a map of an image that nothing was drawn into. `scene` is a box around all that will be
@@ -214,6 +249,26 @@ impl OccupancyMap {
         };
         self.scale.begin(size, part);
         self.bits = Bits::EMPTY;
+        self.asked.iter().chain([&self.known]).for_each(|count| count.set(0));
+        self.given_up.set(false);
+    }
+
+    /// How many boxes the map was asked about since it was begun, and of how many it was known that they are seen.
+    pub fn asked(&self) -> [usize; 2] {
+        [&self.asked[0], &self.asked[1]].map(|count| count.get() as usize)
+    }
+
+    /// Counts a question and what it came to, which is handed back.
+    #[inline]
+    pub(crate) fn count(&self, foreseen: bool) -> bool {
+        let [asked, known] = [self.asked[0].get() + 1, self.asked[1].get() + u32::from(foreseen)];
+        self.asked[0].set(asked);
+        self.asked[1].set(known);
+        if asked % TRIAL == 0 {
+            self.given_up.set(!self.lasts && (known - self.known.get()) * WORTH < TRIAL);
+            self.known.set(known);
+        }
+        foreseen
     }
 
     /// Marks where those of the primitives that occlude are drawn, without drawing them: for who draws elsewhere than into `depth`,

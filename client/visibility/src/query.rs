@@ -136,6 +136,11 @@ pub trait QueryBackEnd {
         self.depth().seen_z_tests()
     }
 
+    /// Cells of which an occupancy map was asked since [`QueryBackEnd::begin`], and those of which it knew: [`Traversal::mapped`](crate::Traversal).
+    fn mapped(&self) -> [usize; 2] {
+        [0; 2]
+    }
+
     /// The depths drawn so far: what hides moving things.
     fn depth(&self) -> &DepthBuffer;
 
@@ -335,6 +340,10 @@ impl QueryBackEnd for CpuQuery {
 
     fn finished_tiles(&self) -> Vec<PixelRect> {
         self.chosen().finished_tiles()
+    }
+
+    fn mapped(&self) -> [usize; 2] {
+        self.chosen().mapped()
     }
 
     fn depth(&self) -> &DepthBuffer {

@@ -112,7 +112,7 @@ impl Cplp {
         let mut rounds = RoundsTraversal::default();
         let mut target = Drawn { scene, back_end: &mut *back_end };
         // Where cells are asked about one by one, what is seen of each is drawn before the next: there is nothing to foresee.
-        let foresees = target.back_end.foresees() && target.back_end.batch() > 1;
+        let many = target.back_end.batch() > 1;
         rounds.traversal = self.run(scene, EyeRegion::point(view.eye), budget, &mut target, scratch, |run| {
             rounds.plp_cells = run.done.cells_projected;
             let (mut front, mut batch, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
@@ -124,7 +124,7 @@ impl Cplp {
                 }
                 run.done.rounds += 1;
                 let front_len = front.len();
-                if foresees {
+                if many && run.target.back_end.foresees() {
                     // What is certainly seen is drawn at once, so that it hides what has to be asked about.
                     nearest_corner_first(&mut front, |cell| nearest_corner(run.aabb(cell), view.eye));
                     front.retain(|&cell| {
@@ -164,6 +164,7 @@ impl Cplp {
         rounds.traversal.passes = rounds.queries.passes;
         rounds.traversal.read_back = rounds.queries.read_back;
         rounds.traversal.seen_z_tests = back_end.seen_z_tests();
+        rounds.traversal.mapped = back_end.mapped();
         rounds.z_tests = back_end.z_tests();
         rounds
     }

@@ -141,16 +141,17 @@ impl Scratch {
         speaks
     }
 
-    /// Likewise for a walk against a Z-pyramid, with an occupancy map if the box of the scene is given.
+    /// Likewise for a walk against a Z-pyramid, with or without an occupancy map.
     pub(crate) fn begin_pyramid(
         &mut self,
         view: &View,
         region: EyeRegion,
-        scene: Option<&Aabb>,
+        occupancy: Occupancy,
+        scene: &Aabb,
     ) -> Option<(&mut PyramidImage, &mut Leaves)> {
         let speaks = self.speak(Speaker::Pyramid, view, region);
         if speaks {
-            self.pyramid.begin(view, scene);
+            self.pyramid.begin(view, occupancy, scene);
         }
         speaks.then_some((&mut self.pyramid, &mut self.leaves))
     }

@@ -119,8 +119,18 @@ pub(super) fn standard() -> Vec<Entry> {
             make: |shop, setting| cplp(shop, setting, Occupancy::Single),
         },
         Entry {
+            name: "cplp-occupancy-always",
+            about: "the same, where the map is asked to the end of a frame even if it spares little",
+            conservative: true,
+            by_rays: false,
+            tessellations: &[OCTREE, KD_TREE, PRISMS],
+            queries: CPLP_QUERIES,
+            budget: Budgets::Given(CPLP_BUDGET),
+            make: |shop, setting| cplp(shop, setting, Occupancy::Always),
+        },
+        Entry {
             name: "cplp-batches",
-            about: "the same, with four more maps that arrange what is left of a front into batches",
+            about: "`cplp-occupancy` with four more maps that arrange what is left of a front into batches",
             conservative: true,
             by_rays: false,
             tessellations: &[OCTREE, KD_TREE, PRISMS],
@@ -195,8 +205,18 @@ pub(super) fn standard() -> Vec<Entry> {
             make: |shop, setting| query_front_to_back(shop, setting, Occupancy::Single),
         },
         Entry {
+            name: "query-front-to-back-occupancy-always",
+            about: "the same, where the map is asked to the end of a frame even if it spares little",
+            conservative: true,
+            by_rays: false,
+            tessellations: &[OCTREE, KD_TREE, PRISMS],
+            queries: &["sampled"],
+            budget: Budgets::None,
+            make: |shop, setting| query_front_to_back(shop, setting, Occupancy::Always),
+        },
+        Entry {
             name: "query-front-to-back-batches",
-            about: "the same, with what is left asked in five batches after that, as four more maps arrange them",
+            about: "`query-front-to-back-occupancy` with what is left asked in five batches after that, as four more maps arrange them",
             conservative: true,
             by_rays: false,
             tessellations: &[OCTREE, KD_TREE, PRISMS],
@@ -212,10 +232,7 @@ pub(super) fn standard() -> Vec<Entry> {
             tessellations: &[OCTREE],
             queries: &["pyramid"],
             budget: Budgets::None,
-            make: |shop, _| {
-                let octree = shop.octree();
-                Box::new(WithScratch::new(HierarchicalZ::new(shop.scene(), octree)))
-            },
+            make: |shop, _| hierarchical_z(shop, Occupancy::Off),
         },
         Entry {
             name: "hierarchical-z-plp",
@@ -241,10 +258,17 @@ pub(super) fn standard() -> Vec<Entry> {
             tessellations: &[OCTREE],
             queries: &["pyramid"],
             budget: Budgets::None,
-            make: |shop, _| {
-                let culler = HierarchicalZ::new(shop.scene(), shop.octree()).with_occupancy_map(true);
-                Box::new(WithScratch::new(culler))
-            },
+            make: |shop, _| hierarchical_z(shop, Occupancy::Single),
+        },
+        Entry {
+            name: "hierarchical-z-occupancy-always",
+            about: "the same, where the map is asked to the end of a frame even if it spares little",
+            conservative: true,
+            by_rays: false,
+            tessellations: &[OCTREE],
+            queries: &["pyramid"],
+            budget: Budgets::None,
+            make: |shop, _| hierarchical_z(shop, Occupancy::Always),
         },
         Entry {
             name: "region",
@@ -273,11 +297,17 @@ fn cplp(shop: &mut Shop, setting: &Setting, occupancy: Occupancy) -> Box<dyn Can
         }
         None => {
             let culler = CplpCuller::new(scene.clone(), cplp.clone(), budget);
-            let culler = culler.with_occupancy_map(occupancy != Occupancy::Off);
+            let culler = culler.with_occupancy(occupancy);
             let query = QueryKind::PerFragmentHistogram;
             Box::new(WithFront::new(culler, scene, cplp, budget, query))
         }
     }
+}
+
+/// Greene's walk, with or without an occupancy map.
+fn hierarchical_z(shop: &mut Shop, occupancy: Occupancy) -> Box<dyn Candidate> {
+    let culler = HierarchicalZ::new(shop.scene(), shop.octree());
+    Box::new(WithScratch::new(culler.with_occupancy(occupancy)))
 }
 
 /// One query a cell, with or without occupancy maps.

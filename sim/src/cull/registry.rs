@@ -250,6 +250,7 @@ mod tests {
             "masked · kd-tree · masks",
             "cplp · octree · sampled · 100",
             "cplp-occupancy · octree · sampled · 100",
+            "cplp-occupancy-always · octree · sampled · 100",
             "cplp-batches · octree · per-fragment-histogram · 100",
             "plp · delaunay · 10%",
             "plp-paper · delaunay · 10%",
@@ -257,10 +258,12 @@ mod tests {
             "centroid-culled · 10%",
             "query-front-to-back · octree · sampled",
             "query-front-to-back-occupancy · octree · sampled",
+            "query-front-to-back-occupancy-always · octree · sampled",
             "query-front-to-back-batches · octree · sampled",
             "hierarchical-z · octree · pyramid",
             "hierarchical-z-plp · octree · pyramid · 4000",
             "hierarchical-z-occupancy · octree · pyramid",
+            "hierarchical-z-occupancy-always · octree · pyramid",
             "region · kd-tree · under",
         ];
         assert_eq!(labels(&registry, &sweep(&["all"], &[], &[], &[])), best);

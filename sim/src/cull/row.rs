@@ -47,6 +47,9 @@ pub struct CullRow {
     pub cells: f64,
     pub queries: f64,
     pub visible_query_pixels: f64,
+    pub mapped: f64,
+    pub foreseen: f64,
+    pub over_unmapped: Option<f64>,
     pub bounds: f64,
     pub occluders: f64,
     pub plp_triangles: f64,
@@ -66,7 +69,7 @@ pub struct CullRow {
 }
 
 /// Columns that hold measured times, which no two runs share.
-pub const TIMES: [&str; 10] = [
+pub const TIMES: [&str; 11] = [
     "frame_ms",
     "frame_ms_median",
     "frame_ms_p95",
@@ -74,6 +77,7 @@ pub const TIMES: [&str; 10] = [
     "per_max_pass",
     "overhead_ms",
     "over_frustum",
+    "over_unmapped",
     "draw_ms",
     "total_ms",
     "build_ms",
@@ -179,6 +183,17 @@ pub fn columns() -> Vec<Column> {
             "visible_query_pixels",
             "",
             "depths compared by queries about cells that turned out to be seen, per view: what an occupancy map spares",
+        ),
+        column("mapped", "", "cells that an occupancy map was asked about per view, mean"),
+        column(
+            "foreseen",
+            "",
+            "of these, cells that the map or a few pixels beside it knew to be seen, so that no query was asked, mean",
+        ),
+        column(
+            "over_unmapped",
+            "",
+            "with occupancy maps: frame_ms over that of the same culler without, where both run; their frames alternate",
         ),
         column("bounds", "", "boxes of objects and clusters asked about, per view, where the culler asks them itself"),
         column(

@@ -144,6 +144,7 @@ pub fn run(
                 outcome.frames.extend(frames);
             }
             tell_overhead(&mut outcome.rows[begin..]);
+            tell_over_unmapped(&mut outcome.rows[begin..]);
             if let Some(view) = views.first().filter(|_| first) {
                 let items = exact_items(world, view);
                 let shared =
@@ -173,6 +174,23 @@ fn tell_overhead(rows: &mut [CullRow]) {
 
 /// The baseline that overhead is told over.
 const FRUSTUM: &str = "frustum-backface";
+
+/// What occupancy maps cost or spare: the time of each culler with them over that of the same one without.
+fn tell_over_unmapped(rows: &mut [CullRow]) {
+    for at in 0..rows.len() {
+        let row = &rows[at];
+        let plain = MAPPED.iter().find_map(|suffix| row.culler.strip_suffix(suffix));
+        let is_plain = |other: &&CullRow| {
+            Some(other.culler.as_str()) == plain
+                && (&other.tessellation, &other.query, &other.budget) == (&row.tessellation, &row.query, &row.budget)
+        };
+        let plain_ms = rows.iter().find(is_plain).map(|other| other.frame_ms).filter(|ms| *ms > 0.0);
+        rows[at].over_unmapped = plain_ms.map(|ms| row.frame_ms / ms);
+    }
+}
+
+/// How the names of cullers end that have occupancy maps and are otherwise the one without.
+const MAPPED: [&str; 3] = ["-occupancy", "-occupancy-always", "-batches"];
 
 /// Culled and wrong pixels, and what the culler shows of itself.
 fn pictures_of(world: &World, view: &View, radius: f64, candidate: &mut dyn Candidate) -> Vec<(String, Picture)> {

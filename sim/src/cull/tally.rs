@@ -210,6 +210,7 @@ pub(super) struct Tally {
     cells: u64,
     queries: u64,
     visible_query_pixels: u64,
+    mapped: [u64; 2],
     plp: u64,
     occluders: u64,
     bounds: u64,
@@ -245,6 +246,7 @@ impl Tally {
         self.cells += culled.traversal.cells_projected as u64;
         self.queries += culled.traversal.queries as u64;
         self.visible_query_pixels += culled.traversal.seen_z_tests;
+        self.mapped.iter_mut().zip(culled.traversal.mapped).for_each(|(sum, cells)| *sum += cells as u64);
         self.plp += culled.traversal.plp_triangles as u64;
         self.occluders += culled.traversal.polygons_drawn as u64;
         self.bounds += culled.traversal.bounds_tested as u64;
@@ -336,6 +338,9 @@ impl Tally {
             cells: mean(self.cells),
             queries: mean(self.queries),
             visible_query_pixels: mean(self.visible_query_pixels),
+            mapped: mean(self.mapped[0]),
+            foreseen: mean(self.mapped[1]),
+            over_unmapped: None,
             bounds: mean(self.bounds),
             occluders: mean(self.occluders),
             plp_triangles: mean(self.plp),

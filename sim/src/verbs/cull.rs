@@ -137,8 +137,8 @@ pub const EXAMPLES: &str = "Examples:
   What guessing costs beyond the frustum at equal triangles (overhead_ms, over_frustum):
   eyeline-sim cull --world city --cullers frustum-backface,plp,plp-paper --tessellation octree,delaunay --budgets 10%,100%
 
-  What occupancy maps spare (Staneker 2003, table 2: visible_query_pixels), each back end with and without:
-  eyeline-sim cull --world city --cullers cplp,cplp-occupancy,cplp-batches --query all
+  What occupancy maps spare (Staneker 2003, table 2: visible_query_pixels) and take (over_unmapped), each back end with and without:
+  eyeline-sim cull --world city --cullers cplp,cplp-occupancy,cplp-occupancy-always,cplp-batches --query all --repeats 7
   eyeline-sim cull --world city --cullers query-front-to-back,query-front-to-back-occupancy,query-front-to-back-batches
 
   Query back ends on the GPU beside the CPU's (a build with --features gpu), and what a query costs there:

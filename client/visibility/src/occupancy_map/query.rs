@@ -26,9 +26,12 @@ impl<B: QueryBackEnd> OccupancyQuery<B> {
     /// Puts maps before a back end. [`Occupancy::Off`] is as [`Occupancy::Single`].
     pub fn new(inner: B, occupancy: Occupancy) -> OccupancyQuery<B> {
         let batches = (occupancy == Occupancy::Batched).then(Box::default);
+        let mut map = OccupancyMap::new();
+        // Where queries are drawn elsewhere their answers are waited for, and each that is spared counts.
+        map.set_lasts(occupancy == Occupancy::Always || !inner.depth_is_drawn());
         OccupancyQuery {
             inner,
-            map: OccupancyMap::new(),
+            map,
             batches,
             placed: Vec::new(),
             asked: 0,
@@ -86,7 +89,11 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
     }
 
     fn draw(&mut self, scene: &Scene, primitives: &[u32]) {
-        self.inner.draw_mapped(scene, primitives, &mut self.map);
+        if self.map.is_given_up() {
+            self.inner.draw(scene, primitives);
+        } else {
+            self.inner.draw_mapped(scene, primitives, &mut self.map);
+        }
     }
 
     fn depth_is_drawn(&self) -> bool {
@@ -98,6 +105,9 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
     }
 
     fn query(&mut self, cells: &[Aabb], seen: &mut Vec<bool>) -> QueryCost {
+        if self.map.is_given_up() {
+            return self.inner.query(cells, seen);
+        }
         seen.clear();
         self.forget();
         self.left_at.clear();
@@ -125,13 +135,13 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
                 self.inner.query_placed(placed, whole_front, seen)
             }
             // Nobody tried to foresee these.
-            None if self.inner.batch() == 1 => self.query(cells, seen),
+            None if self.inner.batch() == 1 && self.foresees() => self.query(cells, seen),
             None => self.inner.query_left(cells, whole_front, seen),
         }
     }
 
     fn foresees(&self) -> bool {
-        true
+        !self.map.is_given_up()
     }
 
     fn foresee(&mut self, cell: &Aabb) -> Option<bool> {
@@ -140,15 +150,17 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
             self.forget();
         }
         let depth = self.inner.depth();
-        if self.map.shows_middle(depth, cell) {
-            return Some(true);
+        // It may be given up in the midst of a front: what was drawn since is not in it.
+        if !self.map.is_given_up() && self.map.shows_middle(depth, cell) {
+            return Some(self.map.count(true));
         }
         let image = match depth.box_place(cell) {
             BoxPlace::Outside => return Some(false),
             BoxPlace::Touching => return Some(true),
             BoxPlace::In(image) => image,
         };
-        if is_foreseen(&self.map, depth, self.inner.depth_is_drawn() && !self.inner.looks_ahead(), &image) {
+        let few_pixels = self.inner.depth_is_drawn() && !self.inner.looks_ahead();
+        if !self.map.is_given_up() && self.map.count(is_foreseen(&self.map, depth, few_pixels, &image)) {
             return Some(true);
         }
         self.placed.push(PlacedBox { aabb: *cell, image });
@@ -166,7 +178,11 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
         batches.begin();
         batch_of.clear();
         let (depth, scale) = (self.inner.depth(), self.map.scale());
-        if self.placed.is_empty() {
+        let is_placed = !self.placed.is_empty();
+        if is_placed {
+            let place = |placed: &PlacedBox| batches.place(scale, placed.image.x, placed.image.y) as u32;
+            batch_of.extend(self.placed.iter().map(place));
+        } else {
             batch_of.extend(cells.iter().map(|cell| match depth.rectangle(cell) {
                 BoxPlace::In(rectangle) => {
                     let [x, y] = [rectangle.x(), rectangle.y()].map(|range| range.map(|at| at as i32));
@@ -174,9 +190,9 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
                 }
                 BoxPlace::Outside | BoxPlace::Touching => 0,
             }));
-        } else {
-            let place = |placed: &PlacedBox| batches.place(scale, placed.image.x, placed.image.y) as u32;
-            batch_of.extend(self.placed.iter().map(place));
+        }
+        join_small(batch_of);
+        if is_placed {
             self.sort_placed(batch_of);
         }
     }
@@ -193,6 +209,10 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
         self.inner.finished_tiles()
     }
 
+    fn mapped(&self) -> [usize; 2] {
+        self.map.asked()
+    }
+
     fn depth(&self) -> &DepthBuffer {
         self.inner.depth()
     }
@@ -201,6 +221,24 @@ impl<B: QueryBackEnd> QueryBackEnd for OccupancyQuery<B> {
         self.inner.depth_mut()
     }
 }
+
+/// Joins batches with the ones after them until each but the last has [`BATCH_LEAST`] boxes, and numbers them from 0.
+pub(super) fn join_small(batch_of: &mut [u32]) {
+    let mut boxes = [0; Batches::COUNT];
+    batch_of.iter().for_each(|batch| boxes[*batch as usize] += 1);
+    let (mut number, mut joined) = (0, 0);
+    let numbers = boxes.map(|boxes| {
+        if joined >= BATCH_LEAST {
+            (number, joined) = (number + 1, 0);
+        }
+        joined += boxes;
+        number
+    });
+    batch_of.iter_mut().for_each(|batch| *batch = numbers[*batch as usize]);
+}
+
+/// A batch is waited for, and takes an item buffer two images at least: fewer boxes are not worth it.
+const BATCH_LEAST: usize = 64;
 
 /// Whether these are the places of these boxes.
 fn are_of(placed: &[PlacedBox], cells: &[Aabb]) -> bool {

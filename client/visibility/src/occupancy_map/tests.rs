@@ -207,6 +207,40 @@ fn images_without_pixels_boxes_across_the_near_plane_and_empty_scenes_do_no_harm
 }
 
 #[test]
+fn a_map_is_given_up_where_it_knows_too_little_and_begun_again_with_the_next_frame() {
+    let depth = DepthBuffer::new(&View::level(DVec3::ZERO, 0.0, 1.0, Resolution::new(64, 64)));
+    let mut map = OccupancyMap::new();
+    let frame = |map: &mut OccupancyMap, known: u32| {
+        map.begin(&depth, &Aabb::around(DVec3::ZERO, DVec3::ONE));
+        assert!(!map.is_given_up());
+        // The first trial goes well, whatever the second comes to.
+        (0..2 * TRIAL).find(|&i| {
+            map.count(i < TRIAL || i - TRIAL < known);
+            map.is_given_up()
+        })
+    };
+    map.set_lasts(false);
+    assert_eq!(frame(&mut map, TRIAL / WORTH), None);
+    assert_eq!(frame(&mut map, TRIAL / WORTH - 1), Some(2 * TRIAL - 1));
+    assert_eq!(map.asked(), [2 * TRIAL, TRIAL + TRIAL / WORTH - 1].map(|count| count as usize));
+    map.set_lasts(true);
+    assert_eq!(frame(&mut map, 0), None);
+}
+
+#[test]
+fn small_batches_join_the_next() {
+    let joined = |boxes: [usize; 5]| {
+        let mut batch_of: Vec<u32> = (0..).zip(boxes).flat_map(|(batch, boxes)| vec![batch; boxes]).collect();
+        super::query::join_small(&mut batch_of);
+        batch_of.chunk_by(|a, b| a == b).map(|chunk| (chunk[0], chunk.len())).collect::<Vec<_>>()
+    };
+    assert_eq!(joined([0; 5]), []);
+    assert_eq!(joined([70, 64, 100, 65, 3]), [(0, 70), (1, 64), (2, 100), (3, 65), (4, 3)]);
+    assert_eq!(joined([40, 30, 100, 10, 3]), [(0, 70), (1, 100), (2, 13)]);
+    assert_eq!(joined([9, 8, 7, 6, 5]), [(0, 35)]);
+}
+
+#[test]
 fn boxes_of_a_batch_reach_into_tiles_of_their_own() {
     let view = View::level(DVec3::ZERO, 0.0, 1.0, Resolution::new(512, 512));
     let mut map = OccupancyMap::new();

@@ -275,13 +275,14 @@ impl DepthBuffer {
     /// [`DepthBuffer::sees`] for a box of which a map may know that it is.
     pub(crate) fn sees_past(&self, map: &OccupancyMap, aabb: &Aabb) -> bool {
         if map.shows_middle(self, aabb) {
-            return true;
+            return map.count(true);
         }
         match self.place(aabb) {
             Place::Outside => false,
             Place::Touching => true,
             Place::In { x, y, z } => {
-                map.shows_rectangle([x, y]) || self.sees_in_few_pixels(x, y, z) || self.sees_rectangle(x, y, z)
+                map.count(map.shows_rectangle([x, y]) || self.sees_in_few_pixels(x, y, z))
+                    || self.sees_rectangle(x, y, z)
             }
         }
     }
@@ -517,11 +518,15 @@ pub(crate) struct MappedTarget<'a> {
 
 impl Target for MappedTarget<'_> {
     fn draw(&mut self, primitives: &[u32]) {
-        self.target.buffer.draw_marking(self.target.scene, primitives, self.map);
+        if self.map.is_given_up() {
+            self.target.draw(primitives);
+        } else {
+            self.target.buffer.draw_marking(self.target.scene, primitives, self.map);
+        }
     }
 
     fn sees(&self, aabb: &Aabb) -> bool {
-        self.target.buffer.sees_past(self.map, aabb)
+        if self.map.is_given_up() { self.target.sees(aabb) } else { self.target.buffer.sees_past(self.map, aabb) }
     }
 
     fn in_view(&self, aabb: &Aabb) -> bool {

@@ -42,10 +42,13 @@ pub fn cullers(scene: &Arc<Scene>) -> Vec<Named> {
         named("cPLP in a kD-tree", CplpCuller::new(scene.clone(), in_kd.clone(), Budget::default())),
         named("front to back", QueryFrontToBack::new(scene.clone(), octree.clone())),
         named("hierarchical Z", HierarchicalZ::new(scene.clone(), octree.clone())),
-        named("hierarchical Z, mapped", HierarchicalZ::new(scene.clone(), octree.clone()).with_occupancy_map(true)),
+        named(
+            "hierarchical Z, mapped",
+            HierarchicalZ::new(scene.clone(), octree.clone()).with_occupancy(Occupancy::Single),
+        ),
         named(
             "cPLP, mapped",
-            CplpCuller::new(scene.clone(), in_octree.clone(), Budget::default()).with_occupancy_map(true),
+            CplpCuller::new(scene.clone(), in_octree.clone(), Budget::default()).with_occupancy(Occupancy::Single),
         ),
         named("large occluders", LargeOccluder::build(scene.clone())),
         named(FROM_A_REGION, RegionCuller::new(scene.clone(), in_kd, occluders, 64 * 64)),
@@ -56,7 +59,7 @@ pub fn cullers(scene: &Arc<Scene>) -> Vec<Named> {
     for query in QueryKind::ALL {
         let culler = CplpQueryCuller::new(scene.clone(), in_octree.clone(), Budget::default(), query);
         cullers.push(named(query.name(), culler.clone()));
-        for occupancy in [Occupancy::Single, Occupancy::Batched] {
+        for occupancy in [Occupancy::Single, Occupancy::Always, Occupancy::Batched] {
             let name = format!("{}, {occupancy:?}", query.name());
             cullers.push(named(name, culler.clone().with_occupancy(occupancy)));
         }
