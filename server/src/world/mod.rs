@@ -12,6 +12,7 @@ mod admission;
 mod blur;
 mod census;
 mod config;
+mod due;
 mod lens;
 mod limits;
 mod object;
@@ -105,6 +106,8 @@ pub struct World {
     running: Running,
     /// Scratch of [`World::tick`].
     told: Vec<ObjectId>,
+    /// Scratch of [`Session::build`].
+    records: Vec<u8>,
 }
 
 impl World {
@@ -182,6 +185,7 @@ impl World {
             validity: Validity::default(),
             running: Running::default(),
             told: Vec::new(),
+            records: Vec::new(),
         };
         world.tick(now);
         // What it begins with is no revision.
@@ -489,7 +493,7 @@ impl World {
                     session.mark_changes(&self.objects, tick, reckoning);
                 }
                 debug_assert!(tells || session.is_told_nothing(), "what it is told of would be left out");
-                session.expire(LocalTime::from_micros(now.micros()), &self.objects);
+                session.expire(LocalTime::from_micros(now.micros()));
                 if session.has_something() {
                     self.awake.push_back(id);
                 }
@@ -617,7 +621,7 @@ impl World {
         };
         let lens = config.bytes_per_second.and_then(|_| session.lens(id, &self.objects, classes));
         let moment = Moment { now, tick, slot, room, reckons: config.dead_reckoning_px.is_some(), lens };
-        session.build(moment, &mut self.objects, &mut self.stats, entitled, |object, known| {
+        session.build(moment, &mut self.objects, &mut self.stats, &mut self.records, entitled, |object, known| {
             let motion = classes[usize::from(object.class.0)].motion;
             let fresh = object.fresh_tbv(tick, motion, config, anchor);
             let tbv = known.map_or(fresh, |known| known.answer(fresh, motion, config.blur));

@@ -12,10 +12,11 @@ use eyeline_protocol::{
     Rank, Role, ServerHeader, ServerRecord, Velocity, WireTbv, WorldTime,
 };
 use glam::DVec3;
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::admission::RosterMark;
 use super::blur::Known;
+use super::due::Due;
 use super::lens::Lens;
 use super::limits::{Meter, Size};
 use super::{AVATAR_CLASS, Object, SessionId, WorldStats};
@@ -174,11 +175,11 @@ pub(super) struct Session {
     /// Bytes that may still go out; `None` without a cap.
     budget: Option<f64>,
     /// States that were held back at the last tick.
-    held_back: BTreeSet<ObjectId>,
+    held_back: FxHashSet<ObjectId>,
     /// What was told exactly, by object. Every state that is told is noted here, and of a thousand clients' maps none is in a
     /// cache: a search through a tree would wait for memory at each of its levels.
     known: FxHashMap<ObjectId, Known>,
-    states_due: BTreeSet<ObjectId>,
+    states_due: Due,
     hidden_due: BTreeSet<ObjectId>,
 }
 
@@ -219,9 +220,9 @@ impl Session {
             given_up: Vec::new(),
             subscriptions: FxHashMap::default(),
             budget: None,
-            held_back: BTreeSet::new(),
+            held_back: FxHashSet::default(),
             known: FxHashMap::default(),
-            states_due: BTreeSet::new(),
+            states_due: Due::default(),
             hidden_due: BTreeSet::new(),
         }
     }
@@ -272,16 +273,19 @@ impl Session {
 
     /// Takes a datagram's delivery header; says whether its records are news.
     pub fn receive(&mut self, header: &LinkHeader, now: LocalTime) -> bool {
-        let (mut acked, mut lost) = (Vec::new(), Vec::new());
-        let arrival = self.link.receive(header, now, |carried| acked.push(carried), |carried| lost.push(carried));
-        for (object, version) in acked.into_iter().flatten() {
-            // It draws from this or a later one.
-            if let Some(subscription) = self.subscriptions.get_mut(&object)
-                && version != WITHDRAWN
-            {
-                subscription.held.retain(|held| held.prediction.tick >= version);
+        let mut lost = Vec::new();
+        let Session { link, subscriptions, .. } = self;
+        let acked = |carried: Carried| {
+            for (object, version) in carried {
+                // It draws from this or a later one.
+                if let Some(subscription) = subscriptions.get_mut(&object)
+                    && version != WITHDRAWN
+                {
+                    subscription.held.retain(|held| held.prediction.tick >= version);
+                }
             }
-        }
+        };
+        let arrival = link.receive(header, now, acked, |carried| lost.push(carried));
         let hold = Duration::from_micros(u64::from(header.hold_micros)).min(HOLD_MAX);
         self.hold_max = hold.max(self.hold_max - self.hold_max / 16);
         for carried in lost {
@@ -310,7 +314,7 @@ impl Session {
     pub fn memory_bytes(&self) -> usize {
         let held: usize = self.subscriptions.values().map(|subscription| subscription.held.capacity()).sum();
         // Ordered maps and sets keep their entries in blocks that are two thirds full on average.
-        let sets = [&self.states_due, &self.bounds_due, &self.hidden_due, &self.held_back];
+        let sets = [&self.bounds_due, &self.hidden_due];
         let in_order = sets.iter().map(|set| set.len()).sum::<usize>() * size_of::<ObjectId>()
             + self.violations.len() * size_of::<(ObjectId, Violation)>();
         size_of::<Session>()
@@ -318,6 +322,8 @@ impl Session {
             + held * size_of::<Held>()
             + self.known.capacity() * (size_of::<(ObjectId, Known)>() + 1)
             + in_order * 3 / 2
+            + self.states_due.memory_bytes()
+            + self.held_back.capacity() * (size_of::<ObjectId>() + 1)
     }
 
     /// Number of states that are due.
@@ -345,16 +351,17 @@ impl Session {
     }
 
     /// Gives up datagrams that were never acknowledged.
-    pub fn expire(&mut self, now: LocalTime, objects: &[Object]) {
+    pub fn expire(&mut self, now: LocalTime) {
         let mut lost = Vec::new();
+        if !self.given_up.is_empty() {
+            lost.push(std::mem::take(&mut self.given_up));
+        }
         // The round trip leaves out what the client held its acknowledgement for; without it all that it holds would be lost.
         self.link.expire(now - self.hold_max, |carried| lost.push(carried));
-        lost.push(std::mem::take(&mut self.given_up));
         self.waits_for_tick = false;
         for carried in lost {
             self.send_again(carried);
         }
-        self.states_due.retain(|id| objects[id.index()].alive);
     }
 
     /// Its view of the world, if it looks at it. An actor's eye is its avatar's, or its own if that is near; who has no
@@ -420,13 +427,13 @@ impl Session {
     }
 
     pub fn unsubscribe(&mut self, object: ObjectId, seq: u32) {
-        self.states_due.remove(&object);
+        self.states_due.remove(object);
         self.subscriptions.insert(object, Subscription::new(false, seq));
     }
 
     /// Tells of the object no more, until it is asked for again.
     pub fn stop_telling(&mut self, object: ObjectId) {
-        self.states_due.remove(&object);
+        self.states_due.remove(object);
         if let Some(subscription) = self.subscriptions.get_mut(&object) {
             subscription.active = false;
         }
@@ -437,7 +444,7 @@ impl Session {
         for (&object, subscription) in &mut self.subscriptions {
             if subscription.active && told.binary_search(&object).is_err() {
                 subscription.active = false;
-                self.states_due.remove(&object);
+                self.states_due.remove(object);
                 self.hidden_due.insert(object);
             }
         }
@@ -453,7 +460,7 @@ impl Session {
     pub fn forget(&mut self, object: ObjectId) {
         self.subscriptions.remove(&object);
         self.known.remove(&object);
-        self.states_due.remove(&object);
+        self.states_due.remove(object);
         self.hidden_due.remove(&object);
         self.bounds_due.remove(&object);
         self.violations.remove(&object);
@@ -466,7 +473,7 @@ impl Session {
     /// Makes due what has changed since it was sent last, or, by dead reckoning, what is drawn wrong by more than `pixels`.
     pub fn mark_changes(&mut self, objects: &[Object], tick: WorldTime, reckoning: Option<(f64, Lens<'_>)>) {
         let Session { subscriptions, states_due, link, .. } = self;
-        // Together: a set that is built at once takes a fraction of the time.
+        // Together: they are sorted once.
         let mut due = Vec::with_capacity(subscriptions.len());
         subscriptions.retain(|&id, subscription| {
             if !subscription.active {
@@ -488,11 +495,7 @@ impl Session {
             }
             true
         });
-        if states_due.is_empty() {
-            *states_due = due.into_iter().collect();
-        } else {
-            states_due.extend(due);
-        }
+        states_due.insert_all(due.into_iter());
     }
 
     /// Lets another `elapsed` seconds' bytes go out, and counts what had to wait for them.
@@ -501,17 +504,18 @@ impl Session {
         // Two ticks' worth, or a datagram, may be saved up; as much may have been borrowed for what can't wait.
         let most = (2.0 * rate * tick.as_secs_f64()).max(self.datagram_limit as f64);
         self.budget = Some((self.budget.unwrap_or(most) + rate * elapsed).clamp(-most, most));
-        for id in &self.states_due {
-            let counter = if self.held_back.contains(id) { &mut stats.capped_late } else { &mut stats.capped };
+        for id in self.states_due.iter() {
+            let counter = if self.held_back.contains(&id) { &mut stats.capped_late } else { &mut stats.capped };
             *counter += 1;
         }
-        self.held_back.clone_from(&self.states_due);
+        self.held_back.clear();
+        self.held_back.extend(self.states_due.iter());
     }
 
     /// What is due by how urgent it is, the most urgent last: pixels × age since it was sent. What was never sent comes before
     /// all that was, since somebody waits for it.
     fn by_urgency(&self, objects: &[Object], moment: &Moment<'_>) -> Vec<ObjectId> {
-        let weigh = |&id: &ObjectId| {
+        let weigh = |id: ObjectId| {
             let size = moment.lens.map_or(1.0, |lens| lens.size_px(&objects[id.index()]));
             let sent = self.subscriptions.get(&id).map_or(WorldTime::MIN, |subscription| subscription.sent);
             let is_new = sent == WorldTime::MIN;
@@ -531,12 +535,14 @@ impl Session {
             || !self.violations.is_empty()
     }
 
-    /// The next datagram, or `None` if nothing is due. Violations first, since nothing may delay them.
+    /// The next datagram, or `None` if nothing is due. Violations first, since nothing may delay them. Records are gathered in the
+    /// memory of `scratch`.
     pub fn build(
         &mut self,
         moment: Moment<'_>,
         objects: &mut [Object],
         stats: &mut WorldStats,
+        scratch: &mut Vec<u8>,
         mut entitled: impl FnMut(&[Object], ObjectId) -> bool,
         mut bound: impl FnMut(&mut Object, Option<&mut Known>) -> Option<WireTbv>,
     ) -> Option<Vec<u8>> {
@@ -558,7 +564,7 @@ impl Session {
         let mut carried = Vec::with_capacity(self.states_due.len() + self.hidden_due.len());
         let mut records = 0;
         // Records are gathered first, then the link is told what goes, then the header is known.
-        let mut writer = DatagramWriter::before_header(ServerHeader::BYTES_MAX, limit);
+        let mut writer = DatagramWriter::before_header(ServerHeader::BYTES_MAX, limit, std::mem::take(scratch));
         let mut full = false;
         for (&object, violation) in &mut self.violations {
             if full || !violation.is_due(now, timeout) {
@@ -592,7 +598,7 @@ impl Session {
             None => self.states_due.pop_first(),
         } {
             if order.is_some() {
-                self.states_due.remove(&id);
+                self.states_due.remove(id);
             }
             if !objects[id.index()].present || !objects[id.index()].alive {
                 continue;
@@ -668,7 +674,8 @@ impl Session {
             // Not at once: who acknowledges nothing would have us build without end.
             self.given_up.extend(lost);
         }
-        let datagram = writer.finish_with(&ServerHeader { link, sent: now, tick });
+        let datagram;
+        (datagram, *scratch) = writer.finish_with(&ServerHeader { link, sent: now, tick });
         if let Some(budget) = &mut self.budget {
             *budget -= datagram.len() as f64;
         }

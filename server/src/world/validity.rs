@@ -6,9 +6,8 @@
 //! and object would take more memory than all else that is known of a client; so only some pairs are noted, chosen by a hash
 //! of theirs, and fewer the more there are. An answer that got lost counts as a short one.
 
-use std::collections::BTreeMap;
-
 use eyeline_protocol::{ClientRecord, ObjectId, Reason, Want, WorldTime};
+use rustc_hash::FxHashMap;
 
 use super::SessionId;
 use crate::histogram::Histogram;
@@ -25,8 +24,8 @@ const PAIRS_MAX: usize = 4_096;
 /// How long bounds last, by a sample of clients and objects.
 #[derive(Clone, Debug)]
 pub struct Validity {
-    /// When the pair was told its bound.
-    told: BTreeMap<(SessionId, ObjectId), WorldTime>,
+    /// When the pair was told its bound. Nothing may depend on its order.
+    told: FxHashMap<(SessionId, ObjectId), WorldTime>,
     /// Pairs whose hash has as many trailing zeros are noted.
     zeros: u32,
     /// From when a bound was asked for to the next question about its object, seconds.
@@ -37,7 +36,12 @@ pub struct Validity {
 
 impl Default for Validity {
     fn default() -> Validity {
-        Validity { told: BTreeMap::new(), zeros: 0, periods: Histogram::new(PERIODS), growth: Histogram::new(METRES) }
+        Validity {
+            told: FxHashMap::default(),
+            zeros: 0,
+            periods: Histogram::new(PERIODS),
+            growth: Histogram::new(METRES),
+        }
     }
 }
 
@@ -79,11 +83,7 @@ impl Validity {
 
     /// A client has gone.
     pub(super) fn forget(&mut self, session: SessionId) {
-        let all = (session, ObjectId(0))..=(session, ObjectId::MAX);
-        let gone: Vec<_> = self.told.range(all).map(|(&pair, _)| pair).collect();
-        for pair in gone {
-            self.told.remove(&pair);
-        }
+        self.told.retain(|&(whose, _), _| whose != session);
     }
 
     fn is_noted(&self, pair: (SessionId, ObjectId)) -> bool {
