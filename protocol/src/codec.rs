@@ -279,6 +279,11 @@ impl DatagramWriter {
         self.bytes
     }
 
+    /// Gives the datagram up: the memory that its records were gathered in.
+    pub fn give_up(self) -> Vec<u8> {
+        self.bytes
+    }
+
     /// The datagram, of a writer that began before its header was known, and the memory that its records were gathered in.
     pub fn finish_with<H: Message>(self, header: &H) -> (Vec<u8>, Vec<u8>) {
         let records = &self.bytes[self.room..];

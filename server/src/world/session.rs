@@ -666,7 +666,7 @@ impl Session {
         }
         if records == 0 && !owed_ack {
             // Nothing that is due fits: to go on would be to go on for ever.
-            *scratch = writer.finish();
+            *scratch = writer.give_up();
             return None;
         }
         let (link, lost) = self.link.send(carried, local);
