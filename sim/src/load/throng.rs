@@ -5,7 +5,6 @@
 //! need not. Here one loop reads what has arrived, hands each packet to its connection, plays the frames whose time has
 //! come and sends what comes of it. Everything that the server sees is as before: [`quinn_proto`]'s connections with the
 //! settings of [`eyeline_client::net`], and real sessions with trackers of their own. All share one socket.
-//! Whoever culls for real may be among them: a frame that is due then waits for one of the others at most.
 
 // This is a driver: it may read the clock and own sockets.
 #![expect(clippy::disallowed_methods)]
@@ -75,8 +74,6 @@ pub struct ThrongRules {
     pub period: Duration,
     /// When the first period begins; members' frames lie in it as [`super::phase_of`] says.
     pub begin: LocalTime,
-    /// Number of the first that ever leaves, comes back or is put elsewhere.
-    pub steady: usize,
     /// Changes of each kind a second.
     pub churn: f64,
     /// Decides who changes when.
@@ -111,7 +108,7 @@ struct Member {
     deadline: LocalTime,
 }
 
-/// A crowd.
+/// A crowd that replays.
 pub struct Throng {
     rules: ThrongRules,
     recruiter: Recruiter,
@@ -132,8 +129,6 @@ pub struct Throng {
     timers: BinaryHeap<Reverse<(Instant, usize)>>,
     /// Members' next frames.
     due: BinaryHeap<Reverse<(LocalTime, usize)>>,
-    /// When it was looked whether somebody is not let in.
-    checked_at: LocalTime,
     /// Scratch for what arrives and for what leaves.
     arrived: Vec<u8>,
     packet: Vec<u8>,
@@ -176,7 +171,6 @@ impl Throng {
             touched: Vec::new(),
             timers: BinaryHeap::new(),
             due: BinaryHeap::new(),
-            checked_at: clock.now(),
             arrived: vec![0; ARRIVES_MAX * BATCH_SIZE],
             packet: Vec::new(),
             rules,
@@ -190,12 +184,11 @@ impl Throng {
     /// # Errors
     /// If somebody is not let in.
     pub async fn join(&mut self) -> anyhow::Result<()> {
-        let ThrongRules { first, end, steady, churn, seed, .. } = self.rules;
+        let ThrongRules { first, end, churn, seed, .. } = self.rules;
         while first + self.members.len() < end {
             let number = self.members.len();
             let Recruit { session, player } = (self.recruiter)(first + number, 0);
-            let changes = first + number >= steady;
-            let churn = changes.then(|| Churn::new(churn, seed, first + number, end - steady.max(first))).flatten();
+            let churn = Churn::new(churn, seed, first + number, end - first);
             self.members.push(Member {
                 session,
                 player,
@@ -299,14 +292,9 @@ impl Throng {
             () = tokio::time::sleep_until(next.into()) => {}
         }
         self.wake();
-        self.check_patience()?;
-        self.frames(FRAMES_MAX)?;
-        // Who culls takes a while over what it hears, and no frame must wait for all of them.
-        while let Some(handle) = self.touched.pop() {
-            self.look_after(handle)?;
-            self.frames(1)?;
-        }
-        // The first client is a task of the same thread.
+        self.look_after_touched()?;
+        self.frames()?;
+        // Those who cull are tasks of the same thread.
         tokio::task::yield_now().await;
         Ok(())
     }
@@ -421,14 +409,9 @@ impl Throng {
         }
     }
 
-    /// Gives up if somebody is not let in.
-    fn check_patience(&mut self) -> anyhow::Result<()> {
+    /// Plays the frames that are due, and makes the changes.
+    fn frames(&mut self) -> anyhow::Result<()> {
         let now = self.clock.now();
-        // All are asked, so not at each step.
-        if now < self.checked_at + PATIENCE / 50 {
-            return Ok(());
-        }
-        self.checked_at = now;
         let is_overdue = |member: &Member| !member.is_in && now >= member.deadline;
         if let Some(number) = self.members.iter().position(is_overdue) {
             anyhow::bail!(
@@ -438,12 +421,8 @@ impl Throng {
                 self.how_far(number),
             );
         }
-        Ok(())
-    }
-
-    /// Plays the frames that are due, and makes the changes. So many at once: what arrives must not wait for all of them.
-    fn frames(&mut self, most: usize) -> anyhow::Result<()> {
-        for _ in 0..most {
+        // A batch at a time: what arrives must not wait for all of them.
+        for _ in 0..FRAMES_MAX {
             let Some(Reverse((due, number))) =
                 self.due.peek().copied().filter(|Reverse((due, _))| *due <= self.clock.now())
             else {
@@ -460,7 +439,8 @@ impl Throng {
             if let Some(link) = self.links[handle.0].as_mut() {
                 link.say(&mut self.members[number].session, self.clock.now());
             }
-            self.look_after(handle.0)?;
+            self.touch(handle.0);
+            self.look_after_touched()?;
         }
         Ok(())
     }
@@ -478,14 +458,11 @@ impl Throng {
         for pose in player.poses(session, now) {
             session.set_pose(pose.object, pose.position, pose.orientation);
         }
-        let mut started = Instant::now();
-        let mut cull = Duration::ZERO;
+        let started = Instant::now();
         let ahead = session.ahead();
         *looked = Looked { at_all: session.tracks() || !session.looks(), has_frame: true, ahead };
         let time = if looked.at_all {
             player.cull(ahead);
-            cull = started.elapsed();
-            started += cull;
             player.occlusion().and_then(|occlusion| session.frame(ahead, occlusion, now))
         } else {
             session.frame_alone(ahead, now)
@@ -494,7 +471,7 @@ impl Throng {
             frame: *frames,
             began: now,
             time,
-            cull,
+            cull: Duration::ZERO,
             track: started.elapsed(),
             late: now.since(due),
             skipped: *skipped,

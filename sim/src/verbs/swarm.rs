@@ -241,24 +241,18 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
             })
         }
     };
-    // The first has a connection like any client's already, and if all cull, so have the others. Each plays from the moment
+    // Who culls has a connection like any client's, and so has the first, who has one already. Each plays from the moment
     // when it is in: who waited for the last would not read what it is told of those who join.
-    let player = {
-        let (ground, ways, seed, side) = (ground.clone(), ways.clone(), options.seed, options.side);
-        move |number: usize, turn: usize| -> Box<dyn Driver> {
-            match &ways {
-                Some(ways) if number >= culling => {
-                    let way = number - culling + 37 * turn;
-                    Box::new(Replayer::new(ways.clone(), way, replaying, Some(hook(number))))
-                }
-                _ => Box::new(Person::on(&ground, seed, number, side, Some(hook(number)))),
-            }
-        }
-    };
     let mut play = |number: usize, mut connection: Connection| {
         let phase = begin + period.mul_f64(phase_of(number));
         let mut stopped = stopped.clone();
-        let mut player = player(number, 0);
+        let (ground, seed, side) = (ground.clone(), options.seed, options.side);
+        let mut player: Box<dyn Driver> = match &ways {
+            Some(ways) if number >= culling => {
+                Box::new(Replayer::new(ways.clone(), number - culling, replaying, Some(hook(number))))
+            }
+            _ => Box::new(Person::on(&ground, seed, number, side, Some(hook(number)))),
+        };
         clients.spawn_local(async move {
             let passed = clock.now().since(phase).as_secs_f64() / period.as_secs_f64();
             let due = phase + period.mul_f64(passed.ceil());
@@ -275,8 +269,7 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
         });
     };
     play(0, first);
-    let alone = if ways.is_some() { 1 } else { culling };
-    for number in 1..alone {
+    for number in 1..culling {
         tokio::select! {
             connection = endpoint.connect(address, session(number, octree(bounds)), clock) => {
                 play(number, connection.with_context(|| format!("client {number}"))?);
@@ -284,7 +277,8 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
             () = &mut shutdown => anyhow::bail!("ended before all clients were in"),
         }
     }
-    if options.clients as usize > alone {
+    let alone = culling.max(1);
+    if let Some(ways) = ways.clone().filter(|_| options.clients as usize > alone) {
         let rules = ThrongRules {
             address,
             trust,
@@ -292,14 +286,12 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
             end: options.clients as usize,
             period,
             begin,
-            steady: culling,
             churn: options.churn,
             seed: options.seed,
         };
-        let recruiter = move |number: usize, turn: usize| {
-            let flat: IndexMaker = Box::new(|| Box::new(FlatIndex::default()));
-            let index = if number < culling { octree(bounds) } else { flat };
-            Recruit { session: session(number, index), player: player(number, turn) }
+        let recruiter = move |number: usize, turn: usize| Recruit {
+            session: session(number, Box::new(|| Box::new(FlatIndex::default()))),
+            player: Box::new(Replayer::new(ways.clone(), number - culling + 37 * turn, replaying, Some(hook(number)))),
         };
         let mut throng = Throng::new(rules, clock, Box::new(recruiter))?;
         let (tell, mut told) = tokio::sync::oneshot::channel::<()>();

@@ -35,7 +35,7 @@ fn played(churn: f64, how_long: Duration) -> (WorldStats, usize, Vec<Outcome>) {
         let server = tokio::task::spawn_local(server.run(async move { drop(stopped.await) }));
         let clock = LocalClock::default();
         let (trust, begin) = (fingerprint.into(), clock.now());
-        let rules = ThrongRules { address, trust, first: 2, end: 8, period: PERIOD, begin, steady: 2, churn, seed: 7 };
+        let rules = ThrongRules { address, trust, first: 2, end: 8, period: PERIOD, begin, churn, seed: 7 };
         let recruiter = move |number: usize, turn: usize| Recruit {
             session: Session::new(SessionConfig::default(), Box::new(|| Box::new(FlatIndex::default()))),
             player: Box::new(Replayer::new(ways.clone(), number + turn, 6, None)),
