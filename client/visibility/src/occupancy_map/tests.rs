@@ -231,7 +231,7 @@ fn a_map_is_given_up_where_it_knows_too_little_and_begun_again_with_the_next_fra
 fn small_batches_join_the_next() {
     let joined = |boxes: [usize; 5]| {
         let mut batch_of: Vec<u32> = (0..).zip(boxes).flat_map(|(batch, boxes)| vec![batch; boxes]).collect();
-        super::query::join_small(&mut batch_of);
+        query::join_small(&mut batch_of);
         batch_of.chunk_by(|a, b| a == b).map(|chunk| (chunk[0], chunk.len())).collect::<Vec<_>>()
     };
     assert_eq!(joined([0; 5]), []);
