@@ -664,19 +664,20 @@ impl Tracker {
         self.stats.work += self.visible.len() as u64;
         for object in &self.visible {
             let Some(entry) = self.entries.get_mut(object) else { continue };
-            let Some(state) = entry.state else {
-                gone.extend((entry.releasing || entry.hidden_frames >= linger).then_some(*object));
-                continue;
-            };
-            let class = &self.classes[entry.class];
-            // Where updates were declined, silence says nothing about the time since.
-            let declined = entry.released_at.filter(|_| entry.releasing).map_or(0.0, |at| now.since(at).as_secs_f64());
-            let (latest, silence) = (self.latest, silence + declined);
-            let (middle, reach) = dead_reckoning::ball(&state, class.motion, latest, silence, self.tolerance);
-            // Where it may get to by the end of the lead.
-            let bound = extent_bound(class, middle, reach + class.motion.speed_max * ahead);
-            entry.hidden_frames = if occlusion.hides(&bound) { entry.hidden_frames + 1 } else { 0 };
-            gone.extend((entry.releasing || entry.hidden_frames >= linger).then_some(*object));
+            if let Some(state) = entry.state {
+                let class = &self.classes[entry.class];
+                // Where updates were declined, silence says nothing about the time since.
+                let released_at = entry.released_at.filter(|_| entry.releasing);
+                let declined = released_at.map_or(0.0, |at| now.since(at).as_secs_f64());
+                let (latest, silence) = (self.latest, silence + declined);
+                let (middle, reach) = dead_reckoning::ball(&state, class.motion, latest, silence, self.tolerance);
+                // Where it may get to by the end of the lead.
+                let bound = extent_bound(class, middle, reach + class.motion.speed_max * ahead);
+                entry.hidden_frames = if occlusion.hides(&bound) { entry.hidden_frames + 1 } else { 0 };
+            }
+            if entry.releasing || entry.hidden_frames >= linger {
+                gone.push(*object);
+            }
         }
         gone
     }

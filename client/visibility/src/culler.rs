@@ -111,7 +111,7 @@ impl CplpCuller {
         CplpCuller::new(scene, cplp, Budget::default())
     }
 
-    /// Whether an occupancy map is asked before the depth buffer. Cells are asked one by one: there are no batches.
+    /// How an occupancy map is asked before the depth buffer. Cells are asked one by one: batches are a single map here.
     pub fn with_occupancy(self, occupancy: Occupancy) -> CplpCuller {
         CplpCuller { occupancy, ..self }
     }

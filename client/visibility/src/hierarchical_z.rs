@@ -53,7 +53,7 @@ impl HierarchicalZ {
         HierarchicalZ { plp: Some((plp, budget)), ..self }
     }
 
-    /// Whether an occupancy map is asked before the pyramid. Nodes are asked one by one: there are no batches.
+    /// How an occupancy map is asked before the pyramid. Nodes are asked one by one: batches are a single map here.
     pub fn with_occupancy(self, occupancy: Occupancy) -> HierarchicalZ {
         HierarchicalZ { occupancy, ..self }
     }
