@@ -184,7 +184,7 @@ fn write(folder: &Path, number: usize, picture: &image::RgbaImage) -> anyhow::Re
 }
 
 /// Becomes true when the process is asked to end.
-fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
+pub(super) fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     let set = Arc::clone(&flag);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;

@@ -4,6 +4,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use eyeline_visibility::Resolution;
@@ -15,6 +16,7 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::keyboard::{KeyCode, PhysicalKey};
 use winit::window::{CursorGrabMode, Window, WindowId};
 
+use super::film::interrupted;
 use super::gpu::{self, AdapterChoice, Gpu, GpuError};
 use super::inspect::Show;
 use super::picture::Stage;
@@ -62,6 +64,7 @@ pub fn run(viewing: Viewing, options: WindowOptions) -> anyhow::Result<()> {
     let mut app = App {
         viewing,
         options,
+        interrupted: interrupted()?,
         live: None,
         held: Held::default(),
         turning: [[false; 2]; 2],
@@ -109,6 +112,7 @@ struct Live {
 struct App {
     viewing: Viewing,
     options: WindowOptions,
+    interrupted: Arc<AtomicBool>,
     live: Option<Live>,
     held: Held,
     /// Arrow keys: left and right, up and down.
@@ -383,7 +387,8 @@ impl ApplicationHandler for App {
             self.fail(events, error);
             return;
         }
-        if self.options.end_after.is_some_and(|after| self.began.elapsed() >= after) {
+        let is_over = self.options.end_after.is_some_and(|after| self.began.elapsed() >= after);
+        if is_over || self.interrupted.load(Ordering::Relaxed) {
             events.exit();
             return;
         }

@@ -112,8 +112,7 @@ fn ctrl_c_ends_a_film_between_two_frames() {
         assert!(began.elapsed() < PATIENCE, "no frames");
         std::thread::sleep(Duration::from_millis(20));
     }
-    let id = running.0.id().to_string();
-    assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    running.interrupt();
     let ended = running.0.wait().unwrap();
     let mut said = String::new();
     std::io::Read::read_to_string(&mut running.0.stderr.take().unwrap(), &mut said).unwrap();

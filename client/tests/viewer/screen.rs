@@ -35,6 +35,14 @@ impl Running {
         });
         Ok((Running(child), receiver))
     }
+
+    /// Ctrl-C.
+    #[cfg(unix)]
+    #[track_caller]
+    pub fn interrupt(&self) {
+        let id = self.0.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    }
 }
 
 /// The client's program.
@@ -82,7 +90,7 @@ impl Screen {
         viewer.env("DISPLAY", &self.display).env_remove("WAYLAND_DISPLAY");
         let (viewer, lines) = Running::start(&mut viewer).unwrap();
         assert_eq!(lines.recv_timeout(PATIENCE).as_deref(), Ok("the window is open"));
-        let mut session = Session { window: String::new(), lines, _viewer: viewer, screen: self };
+        let mut session = Session { window: String::new(), lines, viewer, screen: self };
         session.window = session.xdotool(&["search", "--sync", "--name", "Eyeline"]);
         session.xdotool(&["windowfocus", "--sync", &session.window]);
         session
@@ -92,7 +100,7 @@ impl Screen {
 /// A window that is open.
 pub struct Session {
     pub window: String,
-    _viewer: Running,
+    pub viewer: Running,
     lines: Receiver<String>,
     screen: Screen,
 }

@@ -59,3 +59,24 @@ fn a_screen_of_twice_the_pixels_has_everything_twice_as_large() {
     assert_eq!(picture.dimensions(), (640, 400));
     golden::check("window-hidpi", &picture);
 }
+
+/// Whoever stops it from the shell loses no more than whoever closes the window.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_it_and_keeps_the_way_that_was_gone() {
+    const TEST: &str = "ctrl_c_ends_it_and_keeps_the_way_that_was_gone";
+    let Some(screen) = Screen::open(TEST) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let world = folder.path().join("rooms.glb");
+    std::fs::write(&world, made::two_rooms(0)).unwrap();
+    let way = folder.path().join("way.json");
+    let mut session = screen.view(folder.path(), |view| {
+        view.arg("--world").arg(&world).args(["--size", "320x200", "--eye=-3,1.6,0.5", "--look=4,1.2,0.5"]);
+        view.arg("--record").arg(&way);
+    });
+    session.picture();
+    session.viewer.interrupt();
+    assert!(session.line().contains("way.json"));
+    assert_eq!(session.viewer.0.wait().unwrap().code(), Some(0));
+    assert_eq!(CameraPath::read(&way).unwrap().cameras[0].eye, [-3.0, 1.6, 0.5]);
+}
