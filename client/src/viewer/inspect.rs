@@ -204,7 +204,7 @@ pub fn show_hidden(overlay: &mut Overlay, hidden: &[HiddenBound], view: &View, s
     for bound in hidden {
         let color = urgency(bound.left / LONG);
         overlay.wire_sphere(bound.centre, bound.radius, color, true);
-        if bound.radius_in_the_end > bound.radius {
+        if bound.radius_in_the_end > bound.radius && bound.left.is_finite() {
             let [r, g, b, _] = color;
             overlay.wire_sphere(bound.centre, bound.radius_in_the_end, [r, g, b, 0.2], true);
         }
@@ -216,11 +216,19 @@ pub fn show_hidden(overlay: &mut Overlay, hidden: &[HiddenBound], view: &View, s
     nearest.sort_by(|a, b| a.centre.distance_squared(view.eye).total_cmp(&b.centre.distance_squared(view.eye)));
     for bound in nearest.into_iter().take(LABELS_MAX) {
         let Some(at) = pixel(view, bound.centre) else { continue };
-        let growth = bound.radius_in_the_end - bound.radius;
-        let text = format!("{:.1} s, +{:.1} m", bound.left.max(0.0), growth.max(0.0));
+        let text = time_and_growth(bound);
         let scale = (scale * 0.5).floor().max(1.0);
         overlay.label(&text, (at - font::size(&text) * scale * 0.5).floor(), scale, urgency(bound.left / LONG));
     }
+}
+
+/// How long a bound holds and by how much it grows until then. What walls keep in for good has no such numbers.
+fn time_and_growth(bound: &HiddenBound) -> String {
+    if bound.left.is_infinite() {
+        return "for good".to_owned();
+    }
+    let growth = bound.radius_in_the_end - bound.radius;
+    format!("{:.1} s, +{:.1} m", bound.left.max(0.0), growth.max(0.0))
 }
 
 /// Red for what is due, pale for what has long to go.
@@ -402,5 +410,18 @@ mod tests {
         Inspector::show_cells(&mut overlay, &whole);
         Inspector::show_front(&mut overlay, &one);
         assert!(!overlay.is_empty());
+    }
+
+    #[test]
+    fn what_holds_for_good_has_no_numbers() {
+        let bound = |left| HiddenBound {
+            centre: DVec3::ZERO,
+            radius: 0.5,
+            radius_in_the_end: 0.5 + 3.0 * left,
+            tested: None,
+            left,
+        };
+        assert_eq!(time_and_growth(&bound(2.0)), "2.0 s, +6.0 m");
+        assert_eq!(time_and_growth(&bound(f64::INFINITY)), "for good");
     }
 }

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use eyeline_protocol::{LocalTime, ObjectId, Orientation, PlanSwitch, Position, Role, Stage, Welcome};
+use eyeline_protocol::{LocalTime, ObjectId, Orientation, PlanSwitch, Position, Role, Stage, Welcome, WorldTime};
 use eyeline_visibility::{AllRound, AllRoundScratch, Bound, DynamicOctree, EyeRegion, Occlusion, Scene};
 use glam::{DQuat, DVec3};
 
@@ -60,11 +60,11 @@ pub struct HiddenBound {
     pub centre: DVec3,
     /// Its radius now, metres.
     pub radius: f64,
-    /// How large it will be when it expires.
+    /// How large it will be when it expires; infinite if it never does.
     pub radius_in_the_end: f64,
     /// What is tested: the ball and what reaches out of it.
     pub tested: Option<Bound>,
-    /// How long it holds yet, seconds; below 0 it has expired.
+    /// How long it holds yet, seconds; below 0 it has expired, infinite if it holds for good.
     pub left: f64,
 }
 
@@ -341,12 +341,13 @@ impl Driver for Eyes {
             news.hidden.extend(session.roster().filter_map(|(object, _)| {
                 let explained = tracker?.explain(object).filter(|explained| explained.belief == BeliefKind::Hidden)?;
                 let tbv = explained.tbv?;
+                let is_endless = tbv.expires == WorldTime::MAX;
                 Some(HiddenBound {
                     centre: tbv.centre.metres(),
                     radius: tbv.radius_at(time.latest),
-                    radius_in_the_end: tbv.radius_at(tbv.expires),
+                    radius_in_the_end: if is_endless { f64::INFINITY } else { tbv.radius_at(tbv.expires) },
                     tested: explained.tested,
-                    left: tbv.expires.seconds_since(time.latest),
+                    left: if is_endless { f64::INFINITY } else { tbv.expires.seconds_since(time.latest) },
                 })
             }));
         }
