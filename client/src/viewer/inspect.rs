@@ -222,10 +222,11 @@ pub fn show_hidden(overlay: &mut Overlay, hidden: &[HiddenBound], view: &View, s
     }
 }
 
-/// How long a bound holds and by how much it grows until then. What walls keep in for good has no such numbers.
+/// How long a bound holds and by how much it grows until then. One that the client made itself, of the last place that it saw,
+/// has no end but to be seen.
 fn time_and_growth(bound: &HiddenBound) -> String {
     if bound.left.is_infinite() {
-        return "for good".to_owned();
+        return "until seen".to_owned();
     }
     let growth = bound.radius_in_the_end - bound.radius;
     format!("{:.1} s, +{:.1} m", bound.left.max(0.0), growth.max(0.0))
@@ -413,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn what_holds_for_good_has_no_numbers() {
+    fn what_never_expires_has_no_numbers() {
         let bound = |left| HiddenBound {
             centre: DVec3::ZERO,
             radius: 0.5,
@@ -422,6 +423,6 @@ mod tests {
             left,
         };
         assert_eq!(time_and_growth(&bound(2.0)), "2.0 s, +6.0 m");
-        assert_eq!(time_and_growth(&bound(f64::INFINITY)), "for good");
+        assert_eq!(time_and_growth(&bound(f64::INFINITY)), "until seen");
     }
 }

@@ -64,7 +64,7 @@ pub struct HiddenBound {
     pub radius_in_the_end: f64,
     /// What is tested: the ball and what reaches out of it.
     pub tested: Option<Bound>,
-    /// How long it holds yet, seconds; below 0 it has expired, infinite if it holds for good.
+    /// How long it holds yet, seconds; below 0 it has expired, infinite if it never does.
     pub left: f64,
 }
 
