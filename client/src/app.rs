@@ -3,6 +3,11 @@
 use std::io::{IsTerminal as _, Write as _};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
+#[cfg(feature = "viewer")]
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
 use std::time::Duration;
 
 use anyhow::Context;
@@ -279,6 +284,24 @@ pub(crate) fn shutdown_signal() -> anyhow::Result<impl Future<Output = ()>> {
     Ok(async {
         let _ = tokio::signal::ctrl_c().await;
     })
+}
+
+/// Becomes true when the process is asked to end.
+#[cfg(feature = "viewer")]
+pub(crate) fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let set = Arc::clone(&flag);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let signal = {
+        let _within = runtime.enter();
+        shutdown_signal()?
+    };
+    // It ends with the process.
+    std::thread::Builder::new().name("signals".into()).spawn(move || {
+        runtime.block_on(signal);
+        set.store(true, Ordering::Relaxed);
+    })?;
+    Ok(flag)
 }
 
 /// An error and its causes in one line. Some name their cause themselves, which is then not said again.

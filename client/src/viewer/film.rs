@@ -1,8 +1,7 @@
 //! `eyeline-client film`: a recorded path as numbered pictures, for whatever makes films of them.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 use anyhow::Context;
 use clap::Args;
@@ -17,7 +16,7 @@ use super::renderer::{Frame, Shade};
 use super::shot::resolution;
 use super::sight::Sight;
 use super::staging::{Found, Over, Scenery, Staffage, inspector};
-use crate::app::{number, print, shutdown_signal};
+use crate::app::{interrupted, number, print};
 
 /// Options of `film`.
 #[derive(Args, Clone, Debug)]
@@ -181,23 +180,6 @@ fn write(folder: &Path, number: usize, picture: &image::RgbaImage) -> anyhow::Re
         let _ = std::fs::remove_file(&unfinished);
     }
     named.with_context(|| format!("cannot write {}", path.display()))
-}
-
-/// Becomes true when the process is asked to end.
-pub(super) fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
-    let flag = Arc::new(AtomicBool::new(false));
-    let set = Arc::clone(&flag);
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let signal = {
-        let _within = runtime.enter();
-        shutdown_signal()?
-    };
-    // It ends with the process.
-    std::thread::Builder::new().name("signals".into()).spawn(move || {
-        runtime.block_on(signal);
-        set.store(true, Ordering::Relaxed);
-    })?;
-    Ok(flag)
 }
 
 #[cfg(test)]

@@ -16,7 +16,6 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::keyboard::{KeyCode, PhysicalKey};
 use winit::window::{CursorGrabMode, Window, WindowId};
 
-use super::film::interrupted;
 use super::gpu::{self, AdapterChoice, Gpu, GpuError};
 use super::inspect::Show;
 use super::picture::Stage;
@@ -25,7 +24,7 @@ use super::record::Recorder;
 use super::renderer::Frame;
 use super::surface::{Failures, Remedy, Said, drawable};
 use super::viewing::Viewing;
-use crate::app::print;
+use crate::app::{interrupted, print};
 
 /// How the window begins.
 #[derive(Clone, Debug)]
