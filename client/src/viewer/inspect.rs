@@ -222,8 +222,8 @@ pub fn show_hidden(overlay: &mut Overlay, hidden: &[HiddenBound], view: &View, s
     }
 }
 
-/// How long a bound holds and by how much it grows until then. One that the client made itself, of the last place that it saw,
-/// has no end but to be seen.
+/// How long a bound holds and by how much it grows until then. One that never expires, as the client makes them itself of the
+/// last place that it saw, ends only by being seen.
 fn time_and_growth(bound: &HiddenBound) -> String {
     if bound.left.is_infinite() {
         return "until seen".to_owned();

@@ -60,7 +60,7 @@ pub struct HiddenBound {
     pub centre: DVec3,
     /// Its radius now, metres.
     pub radius: f64,
-    /// How large it will be when it expires; infinite if it never does.
+    /// How large it will be when it expires, if it does.
     pub radius_in_the_end: f64,
     /// What is tested: the ball and what reaches out of it.
     pub tested: Option<Bound>,
@@ -341,13 +341,15 @@ impl Driver for Eyes {
             news.hidden.extend(session.roster().filter_map(|(object, _)| {
                 let explained = tracker?.explain(object).filter(|explained| explained.belief == BeliefKind::Hidden)?;
                 let tbv = explained.tbv?;
-                let is_endless = tbv.expires == WorldTime::MAX;
                 Some(HiddenBound {
                     centre: tbv.centre.metres(),
                     radius: tbv.radius_at(time.latest),
-                    radius_in_the_end: if is_endless { f64::INFINITY } else { tbv.radius_at(tbv.expires) },
+                    radius_in_the_end: tbv.radius_at(tbv.expires),
                     tested: explained.tested,
-                    left: if is_endless { f64::INFINITY } else { tbv.expires.seconds_since(time.latest) },
+                    left: match tbv.expires {
+                        WorldTime::MAX => f64::INFINITY,
+                        expires => expires.seconds_since(time.latest),
+                    },
                 })
             }));
         }
