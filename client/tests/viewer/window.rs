@@ -3,21 +3,31 @@
 //! Needs Xvfb and xdotool. Who walks does not arrive at the same place twice, but who walks against something does: so the walk ends
 //! at a crate. A test may take 90 s, most of which is waiting on a busy machine.
 
+use std::path::Path;
+use std::process::Command;
+
 use eyeline_visibility::CameraPath;
 
-use crate::screen::Screen;
+use crate::screen::{Screen, Session};
 use crate::{golden, made};
+
+/// A window onto the two rooms with so many boxes hidden, from the west room through the door; the model lies in the folder.
+fn look_through_the_door(screen: Screen, folder: &Path, hidden: usize, options: impl FnOnce(&mut Command)) -> Session {
+    let world = folder.join("rooms.glb");
+    std::fs::write(&world, made::two_rooms(hidden)).unwrap();
+    screen.view(folder, |view| {
+        view.arg("--world").arg(&world).args(["--size", "320x200", "--eye=-3,1.6,0.5", "--look=4,1.2,0.5"]);
+        options(view);
+    })
+}
 
 #[test]
 fn one_walks_through_a_door_and_sees_what_is_behind_the_wall() {
     const TEST: &str = "one_walks_through_a_door_and_sees_what_is_behind_the_wall";
     let Some(screen) = Screen::open(TEST) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let world = folder.path().join("rooms.glb");
-    std::fs::write(&world, made::two_rooms(64)).unwrap();
     let way = folder.path().join("way.json");
-    let session = screen.view(folder.path(), |view| {
-        view.arg("--world").arg(&world).args(["--size", "320x200", "--eye=-3,1.6,0.5", "--look=4,1.2,0.5"]);
+    let session = look_through_the_door(screen, folder.path(), 64, |view| {
         view.arg("--record").arg(&way);
     });
     let before = session.picture();
@@ -49,10 +59,7 @@ fn a_screen_of_twice_the_pixels_has_everything_twice_as_large() {
     const TEST: &str = "a_screen_of_twice_the_pixels_has_everything_twice_as_large";
     let Some(screen) = Screen::open(TEST) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let world = folder.path().join("rooms.glb");
-    std::fs::write(&world, made::two_rooms(0)).unwrap();
-    let session = screen.view(folder.path(), |view| {
-        view.arg("--world").arg(&world).args(["--size", "320x200", "--eye=-3,1.6,0.5", "--look=4,1.2,0.5"]);
+    let session = look_through_the_door(screen, folder.path(), 0, |view| {
         view.args(["--overlay", "inset"]).env("WINIT_X11_SCALE_FACTOR", "2");
     });
     let picture = session.picture();
@@ -67,11 +74,8 @@ fn ctrl_c_ends_it_and_keeps_the_way_that_was_gone() {
     const TEST: &str = "ctrl_c_ends_it_and_keeps_the_way_that_was_gone";
     let Some(screen) = Screen::open(TEST) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let world = folder.path().join("rooms.glb");
-    std::fs::write(&world, made::two_rooms(0)).unwrap();
     let way = folder.path().join("way.json");
-    let mut session = screen.view(folder.path(), |view| {
-        view.arg("--world").arg(&world).args(["--size", "320x200", "--eye=-3,1.6,0.5", "--look=4,1.2,0.5"]);
+    let mut session = look_through_the_door(screen, folder.path(), 0, |view| {
         view.arg("--record").arg(&way);
     });
     session.picture();
