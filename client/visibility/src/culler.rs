@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use crate::occupancy_map::Worth;
 use crate::raster_sampled::{Coverage, MappedTarget};
 use crate::{
     Aabb, Budget, Cplp, EyeRegion, ItemBuffer, MaskedCplp, Occupancy, OctreeRules, Scene, Scratch, Traversal, View,
@@ -129,7 +130,7 @@ impl Culler for CplpCuller {
         }
         let Scratch { depth, maps, cplp, .. } = scratch;
         let mut traversal = if self.occupancy != Occupancy::Off {
-            maps.map.set_lasts(self.occupancy == Occupancy::Always);
+            maps.map.set_worth(Worth::of_short_queries(self.occupancy));
             maps.map.begin(depth, &self.cplp.tessellation().root());
             let mut target = MappedTarget { target: depth.target(&self.scene), map: &mut maps.map };
             let traversal = self.cplp.traverse(&self.scene, region, self.budget, &mut target, cplp);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use crate::culler::everything;
-use crate::occupancy_map::{Batches, Occupancy, OccupancyMap};
+use crate::occupancy_map::{Batches, Occupancy, OccupancyMap, Worth};
 use crate::query::{test, test_ahead};
 use crate::raster_sampled::{BoxImage, BoxPlace, BoxRectangle, Marks};
 use crate::{
@@ -71,7 +71,7 @@ impl Culler for QueryFrontToBack {
             order.push((distance, number));
         }
         order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        maps.map.set_lasts(self.occupancy == Occupancy::Always);
+        maps.map.set_worth(Worth::of_short_queries(self.occupancy));
         let mut walk = Walk { culler: self, depth, leaves, done: Traversal::default() };
         match self.occupancy {
             Occupancy::Off => walk.ask_all(&order),

@@ -14,7 +14,7 @@ use std::cell::Cell;
 use std::sync::Arc;
 
 use crate::culler::everything;
-use crate::occupancy_map::{PYRAMID_CORNER_ROWS, few_pixels_pass};
+use crate::occupancy_map::{PYRAMID_CORNER_ROWS, Worth, few_pixels_pass};
 use crate::raster_sampled::{BoxImage, BoxPlace, TILE};
 use crate::{
     Aabb, Bound, Culled, Culler, DepthBuffer, EyeRegion, Occlusion, Occupancy, OccupancyMap, Octree, OctreeRules, Plp,
@@ -113,7 +113,7 @@ impl PyramidImage {
         self.pyramid.begin(&self.depth);
         self.map = (occupancy != Occupancy::Off).then(|| {
             let mut map = self.map.take().unwrap_or_default();
-            map.set_lasts(occupancy == Occupancy::Always);
+            map.set_worth(Worth::of_long_queries(occupancy));
             map.begin(&self.depth, scene);
             map
         });

@@ -42,10 +42,43 @@ pub enum Occupancy {
     Batched,
 }
 
-/// A map that foresees fewer than one of [`WORTH`] boxes among [`TRIAL`] in a row is given up for the rest of the frame: to mark and
-/// to ask then takes longer than the queries that are spared. Counted anew in each frame, so that what a frame shows hangs on no other.
+/// Boxes in a row after which a map is judged.
 const TRIAL: u32 = 256;
-const WORTH: u32 = 8;
+
+/// When a map is given up for the rest of a frame: when it foresees fewer than one of so many boxes among [`TRIAL`] in a row, so that to
+/// mark and to ask takes longer than the queries that are spared. Counted anew in each frame, so that what a frame shows hangs on no other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Worth(u32);
+
+impl Worth {
+    /// Never given up.
+    const LASTS: Worth = Worth(u32::MAX);
+
+    /// Where a query looks at every pixel of a box, or starts anew at each level of a pyramid.
+    pub(crate) fn of_long_queries(occupancy: Occupancy) -> Worth {
+        Worth::unless_always(occupancy, 8)
+    }
+
+    /// Where a query ends with the first pixels in which a box passes, and of one that is seen looks at little more than a map does.
+    pub(crate) fn of_short_queries(occupancy: Occupancy) -> Worth {
+        Worth::unless_always(occupancy, 2)
+    }
+
+    /// Where queries are drawn elsewhere: their answers are waited for, and each that is spared counts.
+    pub(crate) fn of_answers_waited_for() -> Worth {
+        Worth::LASTS
+    }
+
+    fn unless_always(occupancy: Occupancy, boxes: u32) -> Worth {
+        if occupancy == Occupancy::Always { Worth::LASTS } else { Worth(boxes) }
+    }
+
+    /// Whether so many foreseen boxes of a trial are too few.
+    #[inline]
+    fn is_missed_by(self, known: u32) -> bool {
+        self != Worth::LASTS && known * self.0 < TRIAL
+    }
+}
 
 /// Columns and rows of tiles of a map.
 const COLUMNS: usize = 256;
@@ -195,7 +228,7 @@ pub struct OccupancyMap {
     asked: [Cell<u32>; 2],
     /// Of these, how many were known when the trial under way began.
     known: Cell<u32>,
-    lasts: bool,
+    worth: Worth,
     given_up: Cell<bool>,
 }
 
@@ -222,14 +255,14 @@ impl OccupancyMap {
             waiting: NOTHING_WAITS,
             asked: Default::default(),
             known: Cell::new(0),
-            lasts: true,
+            worth: Worth::LASTS,
             given_up: Cell::new(false),
         }
     }
 
-    /// Whether the map is to be asked and marked to the end of each frame, from the next one on, or given up where it knows too little.
-    pub(crate) fn set_lasts(&mut self, lasts: bool) {
-        self.lasts = lasts;
+    /// When the map is to be given up, from the next frame on.
+    pub(crate) fn set_worth(&mut self, worth: Worth) {
+        self.worth = worth;
     }
 
     /// Whether nobody is to mark it any more, and so nobody may ask it, until it is begun again.
@@ -265,7 +298,7 @@ impl OccupancyMap {
         self.asked[0].set(asked);
         self.asked[1].set(known);
         if asked % TRIAL == 0 {
-            self.given_up.set(!self.lasts && (known - self.known.get()) * WORTH < TRIAL);
+            self.given_up.set(self.worth.is_missed_by(known - self.known.get()));
             self.known.set(known);
         }
         foreseen

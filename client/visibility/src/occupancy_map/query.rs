@@ -1,6 +1,6 @@
 //! Occupancy maps in front of any query back end (Staneker et al. 2003, figure 6).
 
-use super::{Batches, Occupancy, OccupancyMap, is_foreseen};
+use super::{Batches, Occupancy, OccupancyMap, Worth, is_foreseen};
 use crate::raster_sampled::BoxPlace;
 use crate::{Aabb, DepthBuffer, PixelRect, PlacedBox, QueryBackEnd, QueryCost, Scene, View};
 
@@ -27,8 +27,11 @@ impl<B: QueryBackEnd> OccupancyQuery<B> {
     pub fn new(inner: B, occupancy: Occupancy) -> OccupancyQuery<B> {
         let batches = (occupancy == Occupancy::Batched).then(Box::default);
         let mut map = OccupancyMap::new();
-        // Where queries are drawn elsewhere their answers are waited for, and each that is spared counts.
-        map.set_lasts(occupancy == Occupancy::Always || !inner.depth_is_drawn());
+        map.set_worth(match (inner.depth_is_drawn(), inner.looks_ahead()) {
+            (false, _) => Worth::of_answers_waited_for(),
+            (true, true) => Worth::of_short_queries(occupancy),
+            (true, false) => Worth::of_long_queries(occupancy),
+        });
         OccupancyQuery {
             inner,
             map,

@@ -219,12 +219,19 @@ fn a_map_is_given_up_where_it_knows_too_little_and_begun_again_with_the_next_fra
             map.is_given_up()
         })
     };
-    map.set_lasts(false);
-    assert_eq!(frame(&mut map, TRIAL / WORTH), None);
-    assert_eq!(frame(&mut map, TRIAL / WORTH - 1), Some(2 * TRIAL - 1));
-    assert_eq!(map.asked(), [2 * TRIAL, TRIAL + TRIAL / WORTH - 1].map(|count| count as usize));
-    map.set_lasts(true);
-    assert_eq!(frame(&mut map, 0), None);
+    for (worth, least) in [
+        (Worth::of_long_queries(Occupancy::Single), TRIAL / 8),
+        (Worth::of_short_queries(Occupancy::Single), TRIAL / 2),
+    ] {
+        map.set_worth(worth);
+        assert_eq!(frame(&mut map, least), None);
+        assert_eq!(frame(&mut map, least - 1), Some(2 * TRIAL - 1));
+        assert_eq!(map.asked(), [2 * TRIAL, TRIAL + least - 1].map(|count| count as usize));
+    }
+    for lasts in [Worth::of_long_queries(Occupancy::Always), Worth::of_answers_waited_for()] {
+        map.set_worth(lasts);
+        assert_eq!(frame(&mut map, 0), None);
+    }
 }
 
 #[test]
