@@ -9,6 +9,7 @@ use std::time::Duration;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use crate::position::nearest;
 use crate::{Orientation, Position, WorldTime};
 
 /// One step of a velocity on the wire, metres a second: 2⁻⁸. In a second of prediction that is 4 mm.
@@ -33,7 +34,7 @@ impl Velocity {
     /// The nearest velocity, for metres a second; what is no number counts as none.
     pub fn from_metres(velocity: DVec3) -> Velocity {
         // A cast saturates, and makes NaN zero.
-        let steps = (velocity / VELOCITY_QUANTUM).round();
+        let steps = (velocity / VELOCITY_QUANTUM).map(nearest);
         Velocity { x: steps.x as i16, y: steps.y as i16, z: steps.z as i16 }
     }
 

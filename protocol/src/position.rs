@@ -12,6 +12,15 @@ pub const QUANTUM_METRES: f64 = 1.0 / 1024.0;
 /// Greatest distance from the anchor along one axis, in metres: (2³¹ − 1) steps, a little under 2,097,152 m.
 pub const METRES_MAX: f64 = i32::MAX as f64 * QUANTUM_METRES;
 
+/// The nearest whole number, halves away from zero: `f64::round`, which is a call on processors of which no more is known than that they are
+/// x86-64, and positions are rounded for each object and tick. Numbers beyond those of an `i64` stay far out, and NaN becomes 0.
+pub(crate) fn nearest(x: f64) -> f64 {
+    let whole = x as i64 as f64;
+    // Exact: both are of the same size, or it is `x` itself.
+    let rest = x - whole;
+    whole + f64::from(i8::from(rest >= 0.5) - i8::from(rest <= -0.5))
+}
+
 /// A coordinate is not a number or too far from the anchor.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("position ({x}, {y}, {z}) m is not within {METRES_MAX} m of the world's anchor")]
@@ -41,12 +50,11 @@ impl Position {
     /// # Errors
     /// If a coordinate is not finite or beyond [`METRES_MAX`].
     pub fn from_metres(metres: DVec3) -> Result<Position, OutOfRange> {
-        let steps = (metres / QUANTUM_METRES).round();
-        let limit = f64::from(i32::MAX);
         // Written so that NaN fails too.
-        if !(steps.abs().cmple(DVec3::splat(limit)).all()) {
+        if !(metres.abs().cmple(DVec3::splat(METRES_MAX)).all()) {
             return Err(OutOfRange { x: metres.x, y: metres.y, z: metres.z });
         }
+        let steps = (metres / QUANTUM_METRES).map(nearest);
         Ok(Position { x: steps.x as i32, y: steps.y as i32, z: steps.z as i32 })
     }
 
@@ -91,7 +99,7 @@ impl Orientation {
         let mut bits = greatest as u32;
         for (i, component) in components.iter().enumerate() {
             if i != greatest {
-                let step = (component * sign * Self::SCALE).round().clamp(-511.0, 511.0) as i32;
+                let step = nearest(component * sign * Self::SCALE).clamp(-511.0, 511.0) as i32;
                 bits = bits << 10 | (step + 511) as u32;
             }
         }
@@ -152,6 +160,18 @@ mod tests {
             assert!(Position::from_metres(DVec3::new(0.0, bad, 0.0)).is_err(), "{bad}");
         }
         assert_eq!(Position::from_metres(DVec3::splat(METRES_MAX)).map(|p| p.x), Ok(i32::MAX));
+    }
+
+    #[test]
+    fn the_nearest_whole_number_is_what_rounding_says() {
+        let halves = (-9..=9).map(|i| 0.5 * f64::from(i));
+        let next = halves.flat_map(|x: f64| [x.next_down(), x, x.next_up()]);
+        for x in next.chain([-1e300, -9.3e18, -4.6e15, 4.6e15, 9.3e18, f64::INFINITY]) {
+            let expected = if x.abs() < 9e18 { x.round() } else { nearest(x) };
+            assert_eq!(nearest(x), expected, "{x}");
+            assert!(x.abs() < 9e18 || nearest(x).abs() > 9e18 && nearest(x).signum() == x.signum(), "{x}");
+        }
+        assert_eq!(nearest(f64::NAN), 0.0);
     }
 
     proptest! {
