@@ -66,8 +66,11 @@ struct Subscription {
     asked_seq: u32,
     /// Whether a bound was told in place of the state that is due, since the client is not entitled to it.
     withheld: bool,
-    /// What the client may draw from: the state that it acknowledged last, and those that are under way. Ascending.
+    /// What the client may draw from: the state that it acknowledged last, and those that are under way. Ascending. Empty unless
+    /// states say how they go on.
     held: Vec<Held>,
+    /// What it was told exactly since it asked. It is among the object's holders of that issue then.
+    told: Option<Known>,
 }
 
 /// A state that a client may hold.
@@ -78,7 +81,7 @@ struct Held {
 
 impl Subscription {
     fn new(active: bool, asked_seq: u32) -> Subscription {
-        Subscription { active, sent: WorldTime::MIN, asked_seq, withheld: false, held: Vec::new() }
+        Subscription { active, sent: WorldTime::MIN, asked_seq, withheld: false, held: Vec::new(), told: None }
     }
 
     /// One more state is under way. Of most objects a client holds one, and vectors begin with room for four.
@@ -170,14 +173,16 @@ pub(super) struct Session {
     hold_max: Duration,
     /// What datagrams carried that were given up for lost because too many were under way; due again at the next tick.
     given_up: Carried,
-    /// Looked up for each state that is told, as `known` is. Nothing may depend on its order.
+    /// Looked up for each state that is told, and of a thousand clients' maps none is in a cache: a search through a tree would wait for
+    /// memory at each of its levels. Nothing may depend on its order.
     subscriptions: FxHashMap<ObjectId, Subscription>,
+    /// Whether any of them was ever said to hold a state.
+    holds: bool,
     /// Bytes that may still go out; `None` without a cap.
     budget: Option<f64>,
     /// States that were held back at the last tick.
     held_back: FxHashSet<ObjectId>,
-    /// What was told exactly, by object. Every state that is told is noted here, and of a thousand clients' maps none is in a
-    /// cache: a search through a tree would wait for memory at each of its levels.
+    /// What was told exactly, by object, of those of which no subscription knows it.
     known: FxHashMap<ObjectId, Known>,
     states_due: Due,
     hidden_due: BTreeSet<ObjectId>,
@@ -219,6 +224,7 @@ impl Session {
             hold_max: Duration::ZERO,
             given_up: Vec::new(),
             subscriptions: FxHashMap::default(),
+            holds: false,
             budget: None,
             held_back: FxHashSet::default(),
             known: FxHashMap::default(),
@@ -244,7 +250,8 @@ impl Session {
         self.own_eye = None;
         (self.link, self.hold_max) = (Link::default(), Duration::ZERO);
         for (&object, subscription) in &mut self.subscriptions {
-            *subscription = Subscription::new(subscription.active, 0);
+            let before = std::mem::replace(subscription, Subscription::new(subscription.active, 0));
+            learn(&mut self.known, object, before);
             if subscription.active {
                 self.states_due.insert(object);
             } else if !tracking {
@@ -258,7 +265,8 @@ impl Session {
 
     /// The client holds nothing any more of what it was told. What it may have learnt stays known.
     pub fn forget_all(&mut self) {
-        self.subscriptions.clear();
+        let subscriptions = std::mem::take(&mut self.subscriptions);
+        subscriptions.into_iter().for_each(|(object, before)| learn(&mut self.known, object, before));
         self.bounds_due.clear();
         self.states_due.clear();
         self.hidden_due.clear();
@@ -274,9 +282,10 @@ impl Session {
     /// Takes a datagram's delivery header; says whether its records are news.
     pub fn receive(&mut self, header: &LinkHeader, now: LocalTime) -> bool {
         let mut lost = Vec::new();
-        let Session { link, subscriptions, .. } = self;
+        let Session { link, subscriptions, holds, .. } = self;
         let acked = |carried: Carried| {
-            for (object, version) in carried {
+            // Where nobody holds anything there is nothing to let go of, and nothing to look up.
+            for (object, version) in carried.into_iter().filter(|_| *holds) {
                 // It draws from this or a later one.
                 if let Some(subscription) = subscriptions.get_mut(&object)
                     && version != WITHDRAWN
@@ -416,7 +425,7 @@ impl Session {
     pub fn subscribe(&mut self, object: ObjectId, seq: u32) {
         self.bounds_due.remove(&object);
         self.states_due.insert(object);
-        self.subscriptions.insert(object, Subscription::new(true, seq));
+        self.put(object, Subscription::new(true, seq));
     }
 
     /// Tells of the object now, and not from now on.
@@ -428,7 +437,13 @@ impl Session {
 
     pub fn unsubscribe(&mut self, object: ObjectId, seq: u32) {
         self.states_due.remove(object);
-        self.subscriptions.insert(object, Subscription::new(false, seq));
+        self.put(object, Subscription::new(false, seq));
+    }
+
+    fn put(&mut self, object: ObjectId, subscription: Subscription) {
+        if let Some(before) = self.subscriptions.insert(object, subscription) {
+            learn(&mut self.known, object, before);
+        }
     }
 
     /// Tells of the object no more, until it is asked for again.
@@ -472,13 +487,17 @@ impl Session {
 
     /// Makes due what has changed since it was sent last, or, by dead reckoning, what is drawn wrong by more than `pixels`.
     pub fn mark_changes(&mut self, objects: &[Object], tick: WorldTime, reckoning: Option<(f64, Lens<'_>)>) {
-        let Session { subscriptions, states_due, link, .. } = self;
+        let Session { subscriptions, known, states_due, link, .. } = self;
         // Together: they are sorted once.
         let mut due = Vec::with_capacity(subscriptions.len());
         subscriptions.retain(|&id, subscription| {
             if !subscription.active {
                 // What was declined is remembered until no older question about it can arrive any more.
-                return subscription.asked_seq == 0 || !link.is_past(subscription.asked_seq - 1);
+                let stays = subscription.asked_seq == 0 || !link.is_past(subscription.asked_seq - 1);
+                if !stays && let Some(told) = subscription.told.take() {
+                    known.insert(id, told);
+                }
+                return stays;
             }
             let object = &objects[id.index()];
             let is_due = match &reckoning {
@@ -631,26 +650,37 @@ impl Session {
                 self.states_due.insert(id);
                 break;
             }
-            object.note_holder(slot);
-            self.known.insert(id, Known::new(object.position, tick, object.issue));
+            let told = Known::new(object.position, tick, object.issue);
             let mut is_told_on = false;
             if let Some(subscription) = self.subscriptions.get_mut(&id) {
                 is_told_on = subscription.active;
+                // To say so again would be to look for two more bits in memory.
+                if subscription.told.replace(told).is_none_or(|before| before.issue != object.issue) {
+                    object.note_holder(slot);
+                }
                 subscription.sent = tick;
                 subscription.withheld = false;
                 if moment.reckons {
                     let Object { position, orientation, velocity, .. } = *object;
                     let prediction = Prediction { position, velocity, orientation, tick };
                     subscription.hold(Held { prediction, issue: object.issue });
+                    self.holds = true;
                 }
                 carried.push((id, tick));
+            } else {
+                object.note_holder(slot);
+                self.known.insert(id, told);
             }
             *(if is_told_on { &mut stats.out.states } else { &mut stats.out.places }) += 1;
             records += 1;
         }
         while let Some(&id) = self.bounds_due.first() {
             let object = &mut objects[id.index()];
-            let tbv = if object.present && object.alive { bound(object, self.known.get_mut(&id)) } else { None };
+            let known = match self.subscriptions.get_mut(&id) {
+                Some(Subscription { told: Some(told), .. }) => Some(told),
+                _ => self.known.get_mut(&id),
+            };
+            let tbv = if object.present && object.alive { bound(object, known) } else { None };
             let Some(tbv) = tbv else {
                 self.bounds_due.pop_first();
                 continue;
@@ -681,6 +711,13 @@ impl Session {
             *budget -= datagram.len() as f64;
         }
         Some(datagram)
+    }
+}
+
+/// Notes what a subscription that is no more knew of an object.
+fn learn(known: &mut FxHashMap<ObjectId, Known>, object: ObjectId, before: Subscription) {
+    if let Some(told) = before.told {
+        known.insert(object, told);
     }
 }
 
