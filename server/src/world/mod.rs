@@ -595,6 +595,10 @@ impl World {
             if is_free && let Some(datagram) = self.build_datagram(id, room, now) {
                 self.stats.datagrams_out += 1;
                 self.stats.datagram_bytes_out += datagram.len() as u64;
+                // Most have said all: to find that out by building once more would take its path's lock once more.
+                if self.sessions.get(&id).is_none_or(|session| !session.has_something()) {
+                    self.awake.pop_front();
+                }
                 return Some((id, Transmit::Datagram(datagram)));
             }
             self.awake.pop_front();
