@@ -45,11 +45,14 @@ pub(super) async fn serve(handle: Handle, incoming: quinn::Incoming, turn: Durat
         handle.with_world(|world| world.handle_datagram_limit(id, limit));
     }
     tracing::debug!(session = id.0, address = %connection.remote_address(), "connected");
+    // A task of its own: what waits for a datagram is woken by each, and all that waits in one task is looked at again.
+    let mut receiving = tokio::spawn(receive_datagrams(handle.clone(), id, connection.clone()));
     let reason = tokio::select! {
-        reason = receive_datagrams(&handle, id, &connection) => reason,
+        reason = &mut receiving => reason.unwrap_or_else(|error| error.to_string()),
         reason = converse(&handle, id, &connection, outgoing, &waiting, &mut place) => reason,
         reason = wait_for_hello(&handle, id, greeting) => reason,
     };
+    receiving.abort();
     tracing::debug!(session = id.0, %reason, "disconnected");
     connection.close(0u32.into(), reason.as_bytes());
     if handle.with_world(|world| world.is_spent(id)) {
@@ -91,7 +94,7 @@ fn resume_token() -> [u8; 16] {
 /// Most datagrams of one connection that are handled before it is another's turn. One packet may hold 700 empty ones.
 const BATCH: usize = 64;
 
-async fn receive_datagrams(handle: &Handle, id: SessionId, connection: &quinn::Connection) -> String {
+async fn receive_datagrams(handle: Handle, id: SessionId, connection: quinn::Connection) -> String {
     loop {
         let first = match connection.read_datagram().await {
             Ok(datagram) => datagram,
@@ -102,7 +105,7 @@ async fn receive_datagrams(handle: &Handle, id: SessionId, connection: &quinn::C
         handle.drive(|world, now| {
             world.handle_datagram(id, &first, now);
             while handled < BATCH
-                && let Some(datagram) = datagram_at_hand(connection)
+                && let Some(datagram) = datagram_at_hand(&connection)
             {
                 world.handle_datagram(id, &datagram, now);
                 handled += 1;
