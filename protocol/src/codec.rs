@@ -217,10 +217,13 @@ impl ControlReader {
     }
 }
 
-/// A record's bytes as a datagram carries them, in place of what `bytes` held: for what many are told alike.
-pub fn encode_record<R: Message>(record: &R, bytes: &mut Vec<u8>) {
-    bytes.clear();
-    encode_into(record, bytes);
+/// A record's bytes as a datagram carries them, at the beginning of `bytes`, and how many: for what many are told alike. None if they do
+/// not fit.
+pub fn encode_record<R: Message>(record: &R, bytes: &mut [u8]) -> usize {
+    debug_assert!(record.check().is_ok(), "what a peer would refuse: {:?}", record.check());
+    let encoded = bincode::serde::encode_into_slice(record, bytes, bincode::config::standard());
+    debug_assert!(encoded.is_ok(), "unencodable record: {:?}", encoded.err());
+    encoded.unwrap_or(0)
 }
 
 /// Packs records behind a header until a datagram is full.
