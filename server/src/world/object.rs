@@ -42,6 +42,9 @@ pub struct Object {
     /// Who moves it; nobody but its path if `None`.
     pub(super) owner: Option<SessionId>,
     pub(super) path: Option<Path>,
+    /// The turn that its path had it make last, radians, and the same as it is on the wire.
+    heading: f64,
+    headed: Orientation,
     /// How it moves on its path's spring, since the first tick.
     swing: Option<Motion>,
     /// Whether people may move it.
@@ -105,6 +108,8 @@ impl Object {
             alive: true,
             owner: None,
             path: None,
+            heading: f64::NAN,
+            headed: Orientation::default(),
             swing: None,
             takeable: false,
             is_freed: false,
@@ -140,6 +145,10 @@ impl Object {
         let motion = class.motion;
         let before = self.position;
         let outcome = self.commit_pose(tick, elapsed, motion, class.turn_max, anchor);
+        if self.position == before && self.moved == DVec3::ZERO {
+            self.velocity = Velocity::ZERO;
+            return outcome;
+        }
         let moved = (self.position.metres() - before.metres()) / elapsed;
         // The mean of two ticks: poses come with jitter, so that one may find none in one tick and two in the next. Who
         // has not moved in either stands, and who was put elsewhere did not walk there.
@@ -199,7 +208,11 @@ impl Object {
                     }
                     None => place,
                 };
-                Position::from_metres(place - anchor).ok().map(|position| (position, Orientation::from_yaw(heading)))
+                // What does not wobble keeps its turn.
+                if self.heading != heading {
+                    (self.heading, self.headed) = (heading, Orientation::from_yaw(heading));
+                }
+                Position::from_metres(place - anchor).ok().map(|position| (position, self.headed))
             }
             // What stands upright turns about the vertical only: its extent holds for no other turn.
             None => self.wanted.take().map(|(position, turn)| {
