@@ -217,7 +217,7 @@ impl ControlReader {
     }
 }
 
-/// A record's bytes as a datagram carries them, at the beginning of `bytes`, and how many: for what many are told alike. None if they do
+/// A record's or header's bytes as a datagram carries them, at the beginning of `bytes`, and how many: for what many are told alike. None if they do
 /// not fit.
 pub fn encode_record<R: Message>(record: &R, bytes: &mut [u8]) -> usize {
     debug_assert!(record.check().is_ok(), "what a peer would refuse: {:?}", record.check());
@@ -289,12 +289,11 @@ impl DatagramWriter {
 
     /// The datagram, of a writer that began before its header was known, and the memory that its records were gathered in.
     pub fn finish_with<H: Message>(self, header: &H) -> (Vec<u8>, Vec<u8>) {
-        let records = &self.bytes[self.room..];
-        let mut bytes = Vec::with_capacity(self.bytes.len());
-        encode_into(header, &mut bytes);
-        debug_assert!(bytes.len() <= self.room, "a header of {} bytes in {}", bytes.len(), self.room);
-        bytes.extend_from_slice(records);
-        (bytes, self.bytes)
+        let DatagramWriter { mut bytes, room, .. } = self;
+        // Up against the records, so that one copy of just the right size is the datagram: QUIC keeps that as it is.
+        let length = encode_record(header, &mut bytes[..room]);
+        bytes.copy_within(..length, room - length);
+        (bytes[room - length..].to_vec(), bytes)
     }
 }
 

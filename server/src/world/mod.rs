@@ -106,6 +106,8 @@ pub struct World {
     running: Running,
     /// Scratch of [`World::tick`].
     told: Vec<ObjectId>,
+    /// Scratch of [`Session::mark_changes`].
+    marked: Vec<ObjectId>,
     /// Scratch of [`Session::build`].
     records: Vec<u8>,
 }
@@ -179,6 +181,7 @@ impl World {
             slots: 0,
             out: VecDeque::new(),
             awake: VecDeque::new(),
+            marked: Vec::new(),
             tick: now,
             next_tick: now,
             stats: WorldStats::default(),
@@ -486,19 +489,27 @@ impl World {
                 if let Some(bytes_per_second) = self.config.bytes_per_second {
                     session.refill(bytes_per_second, elapsed, self.config.tick, &mut self.stats);
                 }
-                if tells {
-                    let reckoning = self.config.dead_reckoning_px;
-                    let reckoning =
-                        reckoning.and_then(|px| Some((px, session.lens(id, &self.objects, &self.classes)?)));
-                    session.mark_changes(&self.objects, tick, reckoning);
-                }
                 debug_assert!(tells || session.is_told_nothing(), "what it is told of would be left out");
-                session.expire(LocalTime::from_micros(now.micros()));
-                if session.has_something() {
+                if !std::mem::replace(&mut session.is_to_mark, true) {
                     self.awake.push_back(id);
                 }
             }
         }
+    }
+
+    /// Makes due what a client has to hear since the last tick, unless that was done. Says whether it has to hear anything.
+    fn mark(&mut self, id: SessionId, now: WorldTime) -> bool {
+        let tells = self.tells();
+        let Some(session) = self.sessions.get_mut(&id) else { return false };
+        if std::mem::take(&mut session.is_to_mark) {
+            if tells {
+                let reckoning = self.config.dead_reckoning_px;
+                let reckoning = reckoning.and_then(|px| Some((px, session.lens(id, &self.objects, &self.classes)?)));
+                session.mark_changes(&self.objects, self.tick, reckoning, &mut self.marked);
+            }
+            session.expire(LocalTime::from_micros(now.max(self.tick).micros()));
+        }
+        session.has_something()
     }
 
     /// Policies that decide at the server say whom each client is told about.
@@ -589,6 +600,10 @@ impl World {
             return Some(control);
         }
         while let Some(&id) = self.awake.front() {
+            if !self.mark(id, now) {
+                self.awake.pop_front();
+                continue;
+            }
             let room = room(id);
             let is_free = room >= DATAGRAM_LIMIT_LEAST;
             self.stats.held_back += u64::from(!is_free);

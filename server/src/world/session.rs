@@ -58,19 +58,16 @@ pub(super) struct OwnEye {
 
 /// What a client is told about one object.
 struct Subscription {
-    /// Whether updates are pushed.
-    active: bool,
-    /// Tick of the state that was sent last; `WorldTime::MIN` if none is under way or arrived.
-    sent: WorldTime,
-    /// Number of the datagram that asked last: what an older one says has been overtaken.
-    asked_seq: u32,
-    /// Whether a bound was told in place of the state that is due, since the client is not entitled to it.
-    withheld: bool,
-    /// What the client may draw from: the state that it acknowledged last, and those that are under way. Ascending. Empty unless
-    /// states say how they go on.
-    held: Vec<Held>,
     /// What it was told exactly since it asked. It is among the object's holders of that issue then.
     told: Option<Known>,
+    /// Whether the state of `told` is under way or arrived.
+    is_sent: bool,
+    /// Whether updates are pushed.
+    active: bool,
+    /// Whether a bound was told in place of the state that is due, since the client is not entitled to it.
+    withheld: bool,
+    /// Number of the datagram that asked last: what an older one says has been overtaken.
+    asked_seq: u32,
 }
 
 /// A state that a client may hold.
@@ -81,22 +78,34 @@ struct Held {
 
 impl Subscription {
     fn new(active: bool, asked_seq: u32) -> Subscription {
-        Subscription { active, sent: WorldTime::MIN, asked_seq, withheld: false, held: Vec::new(), told: None }
+        Subscription { told: None, is_sent: false, active, withheld: false, asked_seq }
     }
 
+    /// Tick of the state that was sent last; `WorldTime::MIN` if none is under way or arrived.
+    fn sent(&self) -> WorldTime {
+        self.told.as_ref().filter(|_| self.is_sent).map_or(WorldTime::MIN, |told| told.at)
+    }
+}
+
+/// What a client may draw an object from, where states say how they go on: the state that it acknowledged last, and those that are
+/// under way. Ascending.
+#[derive(Default)]
+struct Drawn(Vec<Held>);
+
+impl Drawn {
     /// One more state is under way. Of most objects a client holds one, and vectors begin with room for four.
     fn hold(&mut self, held: Held) {
-        if self.held.len() == self.held.capacity() {
-            self.held.reserve_exact(1 + self.held.len() / 2);
+        if self.0.len() == self.0.capacity() {
+            self.0.reserve_exact(1 + self.0.len() / 2);
         }
-        self.held.push(held);
+        self.0.push(held);
     }
 
     /// Whether what the client may draw is wrong by more than `pixels`.
     fn is_wrong(&self, object: &Object, tick: WorldTime, pixels: f64, lens: &Lens<'_>) -> bool {
         // One state that is void, or none that may arrive, is as good as nothing.
-        self.held.is_empty()
-            || self.held.iter().any(|held| {
+        self.0.is_empty()
+            || self.0.iter().any(|held| {
                 let stands = held.prediction.velocity == Velocity::ZERO && object.changed_at <= held.prediction.tick;
                 held.issue != object.issue || !stands && lens.error_px(&held.prediction, object, tick) > pixels
             })
@@ -176,8 +185,10 @@ pub(super) struct Session {
     /// Looked up for each state that is told, and of a thousand clients' maps none is in a cache: a search through a tree would wait for
     /// memory at each of its levels. Nothing may depend on its order.
     subscriptions: FxHashMap<ObjectId, Subscription>,
-    /// Whether any of them was ever said to hold a state.
-    holds: bool,
+    /// Of those that it was told how they go on.
+    drawn: FxHashMap<ObjectId, Drawn>,
+    /// Whether what has changed with the last tick is still to be made due: when a datagram is built, so that memory is waited for once.
+    pub is_to_mark: bool,
     /// Bytes that may still go out; `None` without a cap.
     budget: Option<f64>,
     /// States that were held back at the last tick.
@@ -224,7 +235,8 @@ impl Session {
             hold_max: Duration::ZERO,
             given_up: Vec::new(),
             subscriptions: FxHashMap::default(),
-            holds: false,
+            drawn: FxHashMap::default(),
+            is_to_mark: false,
             budget: None,
             held_back: FxHashSet::default(),
             known: FxHashMap::default(),
@@ -248,7 +260,10 @@ impl Session {
         self.heard_at = now;
         self.owes_ack = true;
         self.own_eye = None;
+        // It is to be woken under its new number.
+        self.is_to_mark = false;
         (self.link, self.hold_max) = (Link::default(), Duration::ZERO);
+        self.drawn.clear();
         for (&object, subscription) in &mut self.subscriptions {
             let before = std::mem::replace(subscription, Subscription::new(subscription.active, 0));
             learn(&mut self.known, object, before);
@@ -265,6 +280,7 @@ impl Session {
 
     /// The client holds nothing any more of what it was told. What it may have learnt stays known.
     pub fn forget_all(&mut self) {
+        self.drawn.clear();
         let subscriptions = std::mem::take(&mut self.subscriptions);
         subscriptions.into_iter().for_each(|(object, before)| learn(&mut self.known, object, before));
         self.bounds_due.clear();
@@ -282,15 +298,14 @@ impl Session {
     /// Takes a datagram's delivery header; says whether its records are news.
     pub fn receive(&mut self, header: &LinkHeader, now: LocalTime) -> bool {
         let mut lost = Vec::new();
-        let Session { link, subscriptions, holds, .. } = self;
+        let Session { link, drawn, .. } = self;
         let acked = |carried: Carried| {
-            // Where nobody holds anything there is nothing to let go of, and nothing to look up.
-            for (object, version) in carried.into_iter().filter(|_| *holds) {
+            for (object, version) in carried {
                 // It draws from this or a later one.
-                if let Some(subscription) = subscriptions.get_mut(&object)
+                if let Some(drawn) = drawn.get_mut(&object)
                     && version != WITHDRAWN
                 {
-                    subscription.held.retain(|held| held.prediction.tick >= version);
+                    drawn.0.retain(|held| held.prediction.tick >= version);
                 }
             }
         };
@@ -321,13 +336,14 @@ impl Session {
     /// Bytes that it keeps, by the capacity of its lists; an estimate where a map does not tell, and without what is
     /// under way.
     pub fn memory_bytes(&self) -> usize {
-        let held: usize = self.subscriptions.values().map(|subscription| subscription.held.capacity()).sum();
+        let held: usize = self.drawn.values().map(|drawn| drawn.0.capacity()).sum();
         // Ordered maps and sets keep their entries in blocks that are two thirds full on average.
         let sets = [&self.bounds_due, &self.hidden_due];
         let in_order = sets.iter().map(|set| set.len()).sum::<usize>() * size_of::<ObjectId>()
             + self.violations.len() * size_of::<(ObjectId, Violation)>();
         size_of::<Session>()
             + self.subscriptions.capacity() * (size_of::<(ObjectId, Subscription)>() + 1)
+            + self.drawn.capacity() * (size_of::<(ObjectId, Drawn)>() + 1)
             + held * size_of::<Held>()
             + self.known.capacity() * (size_of::<(ObjectId, Known)>() + 1)
             + in_order * 3 / 2
@@ -350,9 +366,11 @@ impl Session {
                 continue;
             }
             let Some(subscription) = self.subscriptions.get_mut(&object) else { continue };
-            subscription.held.retain(|held| held.prediction.tick != version);
-            if subscription.active && (subscription.sent == version || version == WITHHELD) {
-                subscription.sent = WorldTime::MIN;
+            if let Some(drawn) = self.drawn.get_mut(&object) {
+                drawn.0.retain(|held| held.prediction.tick != version);
+            }
+            if subscription.active && (subscription.sent() == version || version == WITHHELD) {
+                subscription.is_sent = false;
                 subscription.withheld = false;
                 self.states_due.insert(object);
             }
@@ -417,7 +435,7 @@ impl Session {
 
     /// Whether it is told of the object, and has been since it asked: not only that it wants to be.
     pub fn is_told(&self, object: ObjectId) -> bool {
-        let is_told = |told: &Subscription| told.active && !told.withheld && told.sent != WorldTime::MIN;
+        let is_told = |told: &Subscription| told.active && !told.withheld && told.is_sent;
         self.subscriptions.get(&object).is_some_and(is_told)
     }
 
@@ -441,6 +459,7 @@ impl Session {
     }
 
     fn put(&mut self, object: ObjectId, subscription: Subscription) {
+        self.drawn.remove(&object);
         if let Some(before) = self.subscriptions.insert(object, subscription) {
             learn(&mut self.known, object, before);
         }
@@ -474,6 +493,7 @@ impl Session {
     /// The object exists no more.
     pub fn forget(&mut self, object: ObjectId) {
         self.subscriptions.remove(&object);
+        self.drawn.remove(&object);
         self.known.remove(&object);
         self.states_due.remove(object);
         self.hidden_due.remove(&object);
@@ -486,16 +506,24 @@ impl Session {
     }
 
     /// Makes due what has changed since it was sent last, or, by dead reckoning, what is drawn wrong by more than `pixels`.
-    pub fn mark_changes(&mut self, objects: &[Object], tick: WorldTime, reckoning: Option<(f64, Lens<'_>)>) {
-        let Session { subscriptions, known, states_due, link, .. } = self;
+    /// They are gathered in the memory of `due`.
+    pub fn mark_changes(
+        &mut self,
+        objects: &[Object],
+        tick: WorldTime,
+        reckoning: Option<(f64, Lens<'_>)>,
+        due: &mut Vec<ObjectId>,
+    ) {
+        let Session { subscriptions, drawn, known, states_due, link, .. } = self;
         // Together: they are sorted once.
-        let mut due = Vec::with_capacity(subscriptions.len());
+        due.clear();
         subscriptions.retain(|&id, subscription| {
             if !subscription.active {
                 // What was declined is remembered until no older question about it can arrive any more.
                 let stays = subscription.asked_seq == 0 || !link.is_past(subscription.asked_seq - 1);
-                if !stays && let Some(told) = subscription.told.take() {
-                    known.insert(id, told);
+                if !stays {
+                    drawn.remove(&id);
+                    known.extend(subscription.told.take().map(|told| (id, told)));
                 }
                 return stays;
             }
@@ -504,17 +532,17 @@ impl Session {
                 // In place of what it drew from a bound was told; it is to be seen again even if that was right.
                 _ if subscription.withheld => true,
                 // What was never sent, or got lost, is due in any case.
-                Some((pixels, lens)) if subscription.sent != WorldTime::MIN => {
-                    subscription.is_wrong(object, tick, *pixels, lens)
+                Some((pixels, lens)) if subscription.is_sent => {
+                    drawn.get(&id).is_none_or(|drawn| drawn.is_wrong(object, tick, *pixels, lens))
                 }
-                _ => object.changed_at > subscription.sent,
+                _ => object.changed_at > subscription.sent(),
             };
             if is_due {
                 due.push(id);
             }
             true
         });
-        states_due.insert_all(due.into_iter());
+        states_due.insert_all(due.iter().copied());
     }
 
     /// Lets another `elapsed` seconds' bytes go out, and counts what had to wait for them.
@@ -536,7 +564,7 @@ impl Session {
     fn by_urgency(&self, objects: &[Object], moment: &Moment<'_>) -> Vec<ObjectId> {
         let weigh = |id: ObjectId| {
             let size = moment.lens.map_or(1.0, |lens| lens.size_px(&objects[id.index()]));
-            let sent = self.subscriptions.get(&id).map_or(WorldTime::MIN, |subscription| subscription.sent);
+            let sent = self.subscriptions.get(&id).map_or(WorldTime::MIN, Subscription::sent);
             let is_new = sent == WorldTime::MIN;
             let age = if is_new { 1.0 } else { moment.tick.seconds_since(sent) };
             (is_new, size * age, id)
@@ -658,13 +686,12 @@ impl Session {
                 if subscription.told.replace(told).is_none_or(|before| before.issue != object.issue) {
                     object.note_holder(slot);
                 }
-                subscription.sent = tick;
+                subscription.is_sent = true;
                 subscription.withheld = false;
                 if moment.reckons {
                     let Object { position, orientation, velocity, .. } = *object;
                     let prediction = Prediction { position, velocity, orientation, tick };
-                    subscription.hold(Held { prediction, issue: object.issue });
-                    self.holds = true;
+                    self.drawn.entry(id).or_default().hold(Held { prediction, issue: object.issue });
                 }
                 carried.push((id, tick));
             } else {
@@ -716,9 +743,7 @@ impl Session {
 
 /// Notes what a subscription that is no more knew of an object.
 fn learn(known: &mut FxHashMap<ObjectId, Known>, object: ObjectId, before: Subscription) {
-    if let Some(told) = before.told {
-        known.insert(object, told);
-    }
+    known.extend(before.told.map(|told| (object, told)));
 }
 
 impl Violation {
