@@ -14,7 +14,7 @@ use crate::path::Path;
 use crate::spring::Motion;
 
 /// An object of the world. Everything public is the committed state.
-// What is looked at for each client that is told of it comes first, in two lines of the cache that are fetched together.
+// What is looked at for each client that is told of it, and for each pose, comes first, in two lines of the cache that are fetched together.
 #[repr(C, align(128))]
 pub struct Object {
     /// Tick of the last change of position or orientation.
@@ -35,12 +35,15 @@ pub struct Object {
     pub velocity: Velocity,
     /// Its kind.
     pub class: ClassId,
+    /// Who moves it; nobody but its path if `None`.
+    pub(super) owner: Option<SessionId>,
+    /// The newest pose that its owner asked for, and that datagram's number.
+    pub(super) wanted: Option<(Position, Orientation)>,
+    pub(super) wanted_seq: u32,
     /// Name for people.
     pub name: String,
     /// Node of the model with its mesh; empty for an avatar.
     pub node: String,
-    /// Who moves it; nobody but its path if `None`.
-    pub(super) owner: Option<SessionId>,
     pub(super) path: Option<Path>,
     /// The turn that its path had it make last, radians, and the same as it is on the wire.
     heading: f64,
@@ -51,9 +54,6 @@ pub struct Object {
     pub(super) takeable: bool,
     /// Whether somebody has just taken it: what was said of how it moves holds no longer.
     pub(super) is_freed: bool,
-    /// The newest pose that its owner asked for, and that datagram's number.
-    pub(super) wanted: Option<(Position, Orientation)>,
-    pub(super) wanted_seq: u32,
     /// A place to go to at once, and whether it is in the world then.
     pub(super) placed: Option<(Position, bool)>,
     /// Slots of the sessions that may hold a bound or a state.
@@ -69,6 +69,8 @@ pub struct Object {
     /// Metres a second of the last tick.
     moved: DVec3,
 }
+
+const _: () = assert!(std::mem::offset_of!(Object, name) <= 128);
 
 /// A state as a datagram carries it.
 struct StateRecord {
