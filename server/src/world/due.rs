@@ -1,13 +1,16 @@
 //! Which objects wait to be told of? A set in order of ids, most of which comes and goes once a tick.
 //!
 //! What a tick makes due is sorted once and taken from the end of a list, at a fraction of what a tree costs; what is due besides,
-//! since it was asked for or got lost, is in a tree. Taking something out marks it: nothing is ever moved up, so that no order
-//! of questions makes one of them cost more than a search (`limits.rs`).
+//! since it was asked for or got lost, is in a tree if the list is not short. Taking something out marks it: no more than [`MOVED_MAX`]
+//! are ever moved up, so that no order of questions makes one of them cost more than a search (`limits.rs`).
 
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
 
 use eyeline_protocol::ObjectId;
+
+/// A list of fewer gets what is due besides.
+const MOVED_MAX: usize = 32;
 
 /// A set of objects, first come the least ids.
 #[derive(Clone, Default)]
@@ -35,33 +38,39 @@ impl Due {
 
     pub fn insert(&mut self, id: ObjectId) {
         match self.place(id) {
-            Some(place) => {
+            Ok(place) => {
                 let is_in = &mut self.batch[place].1;
                 self.batch_len += usize::from(!*is_in);
                 *is_in = true;
             }
-            None => drop(self.others.insert(id)),
+            // A few that are asked for between two ticks find a place in the list, at a fraction of what a tree costs.
+            Err(place) if self.others.is_empty() && self.batch.len() < MOVED_MAX => {
+                self.batch.insert(place, (id, true));
+                self.batch_len += 1;
+            }
+            Err(_) => drop(self.others.insert(id)),
         }
     }
 
     /// Adds many at once, each named once, in any order.
     pub fn insert_all(&mut self, ids: impl Iterator<Item = ObjectId>) {
-        if !self.is_empty() {
+        if !self.others.is_empty() {
             return ids.for_each(|id| self.insert(id));
         }
-        self.batch.clear();
+        self.batch.retain(|&(_, is_in)| is_in);
         self.batch.extend(ids.map(|id| (id, true)));
         self.batch.sort_unstable_by_key(|&(id, _)| Reverse(id));
+        self.batch.dedup_by_key(|&mut (id, _)| id);
         self.batch_len = self.batch.len();
     }
 
     pub fn remove(&mut self, id: ObjectId) {
         match self.place(id) {
-            Some(place) => {
+            Ok(place) => {
                 self.batch_len -= usize::from(std::mem::take(&mut self.batch[place].1));
                 self.trim();
             }
-            None => drop(self.others.remove(&id)),
+            Err(_) => drop(self.others.remove(&id)),
         }
     }
 
@@ -90,8 +99,9 @@ impl Due {
         self.batch.capacity() * size_of::<(ObjectId, bool)>() + self.others.len() * size_of::<ObjectId>() * 3 / 2
     }
 
-    fn place(&self, id: ObjectId) -> Option<usize> {
-        self.batch.binary_search_by_key(&Reverse(id), |&(id, _)| Reverse(id)).ok()
+    /// Where it is in the list, or would be.
+    fn place(&self, id: ObjectId) -> Result<usize, usize> {
+        self.batch.binary_search_by_key(&Reverse(id), |&(id, _)| Reverse(id))
     }
 
     /// Lets go of what was taken out at the end of the list.

@@ -3,6 +3,7 @@
 //! Nothing is queued but ids: records are built when a datagram is, from the newest committed state, so no queue can
 //! hold a stale pose and each is bounded by the number of objects.
 
+use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -58,7 +59,7 @@ pub(super) struct OwnEye {
 
 /// What a client is told about one object.
 struct Subscription {
-    /// What it was told exactly since it asked. It is among the object's holders of that issue then.
+    /// What it was told exactly since it asked first. It is among the object's holders of that issue then.
     told: Option<Known>,
     /// Whether the state of `told` is under way or arrived.
     is_sent: bool,
@@ -443,7 +444,7 @@ impl Session {
     pub fn subscribe(&mut self, object: ObjectId, seq: u32) {
         self.bounds_due.remove(&object);
         self.states_due.insert(object);
-        self.put(object, Subscription::new(true, seq));
+        self.put(object, true, seq);
     }
 
     /// Tells of the object now, and not from now on.
@@ -455,13 +456,20 @@ impl Session {
 
     pub fn unsubscribe(&mut self, object: ObjectId, seq: u32) {
         self.states_due.remove(object);
-        self.put(object, Subscription::new(false, seq));
+        self.put(object, false, seq);
     }
 
-    fn put(&mut self, object: ObjectId, subscription: Subscription) {
-        self.drawn.remove(&object);
-        if let Some(before) = self.subscriptions.insert(object, subscription) {
-            learn(&mut self.known, object, before);
+    fn put(&mut self, object: ObjectId, active: bool, seq: u32) {
+        if !self.drawn.is_empty() {
+            self.drawn.remove(&object);
+        }
+        let fresh = Subscription::new(active, seq);
+        match self.subscriptions.entry(object) {
+            // It is asked anew, and knows what it knew.
+            Entry::Occupied(mut before) => {
+                *before.get_mut() = Subscription { told: before.get_mut().told.take(), ..fresh }
+            }
+            Entry::Vacant(place) => drop(place.insert(fresh)),
         }
     }
 
