@@ -37,7 +37,7 @@ pub(super) async fn serve(handle: Handle, incoming: quinn::Incoming, turn: Durat
     let (control, outgoing) = mpsc::channel(CONTROL_QUEUE);
     let mut id = SessionId(0);
     let caller = Caller { address: Some(connection.remote_address().ip()), resume: resume_token() };
-    handle.drive(|world, now| id = world.connect_from(now, caller));
+    handle.drive(|core, now| id = core.world.connect_from(now, caller));
     let peer = Peer::new(connection.clone(), control);
     let waiting = peer.waiting.clone();
     handle.lock().peers.insert(id, peer);
@@ -58,7 +58,10 @@ pub(super) async fn serve(handle: Handle, incoming: quinn::Incoming, turn: Durat
     if handle.with_world(|world| world.is_spent(id)) {
         place.penalise();
     }
-    handle.drive(|world, _| world.disconnect(id));
+    handle.drive(|core, _| {
+        core.hear(id);
+        core.world.disconnect(id);
+    });
     let mut core = handle.lock();
     core.peers.remove(&id);
     core.stats.note_path(&connection);
@@ -102,12 +105,12 @@ async fn receive_datagrams(handle: Handle, id: SessionId, connection: quinn::Con
         };
         // All that is here already is handled under one lock, and answered together.
         let mut handled = 1;
-        handle.drive(|world, now| {
-            world.handle_datagram(id, &first, now);
+        handle.drive(|core, now| {
+            core.take_in(id, first, now);
             while handled < BATCH
                 && let Some(datagram) = datagram_at_hand(&connection)
             {
-                world.handle_datagram(id, &datagram, now);
+                core.take_in(id, datagram, now);
                 handled += 1;
             }
         });
@@ -164,9 +167,10 @@ async fn converse(
                         if std::mem::take(&mut is_first) {
                             handle.check_token(&message).await;
                         }
-                        handle.drive(|world, now| {
-                            world.handle_control(id, &message, now);
-                            if world.is_admitted(id) {
+                        handle.drive(|core, now| {
+                            core.hear(id);
+                            core.world.handle_control(id, &message, now);
+                            if core.world.is_admitted(id) {
                                 place.let_in();
                             }
                         });
@@ -174,7 +178,7 @@ async fn converse(
                     Ok(None) => break,
                     Err(error) => {
                         // Counted and told; writing closes the connection once the client has it.
-                        handle.drive(|world, _| world.handle_broken_control(id, &error));
+                        handle.drive(|core, _| core.world.handle_broken_control(id, &error));
                         return std::future::pending::<String>().await;
                     }
                 }

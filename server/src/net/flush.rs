@@ -28,6 +28,9 @@ const CONTROL_BYTES_PER_OBJECT: usize = 600;
 pub(super) struct Peer {
     pub connection: quinn::Connection,
     control: mpsc::Sender<Outgoing>,
+    /// Datagrams that the world has not heard yet, and when they arrived: where nothing comes of them before the next tick, those of all
+    /// are handled together then, while the code is at hand. Fewer than [`INBOX`].
+    inbox: Vec<(WorldTime, Bytes)>,
     /// Bytes of control messages that wait to be taken by QUIC.
     pub waiting: Arc<AtomicUsize>,
     /// When the oldest datagram was handed to QUIC that may still wait there.
@@ -46,11 +49,18 @@ impl Peer {
         Peer {
             connection,
             control,
+            inbox: Vec::new(),
             waiting: Arc::default(),
             queued_at: None,
             empty_space,
             path: None,
             is_closed: false,
+        }
+    }
+
+    fn hear(&mut self, id: SessionId, world: &mut World) {
+        for (at, datagram) in self.inbox.drain(..) {
+            world.handle_datagram(id, &datagram, at);
         }
     }
 
@@ -72,6 +82,9 @@ impl Peer {
     }
 }
 
+/// So many datagrams of one client do not wait for the tick.
+const INBOX: usize = 64;
+
 /// What a connection's task is to write.
 pub(super) enum Outgoing {
     Control(Arc<[u8]>),
@@ -88,6 +101,31 @@ pub(super) struct Core {
 }
 
 impl Core {
+    /// Keeps a datagram for the tick, or has the world hear it at once if answers do not wait, or if too much waits.
+    pub fn take_in(&mut self, id: SessionId, datagram: Bytes, now: WorldTime) {
+        let Some(peer) = self.peers.get_mut(&id).filter(|_| self.world.answers_with_tick()) else {
+            return self.world.handle_datagram(id, &datagram, now);
+        };
+        peer.inbox.push((now, datagram));
+        if peer.inbox.len() >= INBOX {
+            peer.hear(id, &mut self.world);
+        }
+    }
+
+    /// Has the world hear what waits of one client, in the order in which it arrived: before anything else that it says.
+    pub fn hear(&mut self, id: SessionId) {
+        if let Some(peer) = self.peers.get_mut(&id) {
+            peer.hear(id, &mut self.world);
+        }
+    }
+
+    /// The same of all.
+    pub fn hear_all(&mut self) {
+        for (&id, peer) in &mut self.peers {
+            peer.hear(id, &mut self.world);
+        }
+    }
+
     /// Sends everything that the world has to say and that leaves at once.
     pub fn flush(&mut self, now: WorldTime) {
         let tick = self.world.tick_period();

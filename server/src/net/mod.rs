@@ -281,11 +281,11 @@ impl Handle {
         let _ = tokio::task::spawn_blocking(move || checks.check(&token, now)).await;
     }
 
-    /// Runs `f` on the world and sends what comes of it.
-    fn drive(&self, f: impl FnOnce(&mut World, WorldTime)) {
+    /// Runs `f` on the world and its connections, and sends what comes of it.
+    fn drive(&self, f: impl FnOnce(&mut Core, WorldTime)) {
         let started = Instant::now();
         let mut core = self.lock();
-        f(&mut core.world, self.clock.now());
+        f(&mut core, self.clock.now());
         core.flush(self.clock.now());
         let work = started.elapsed();
         core.stats.work += work;
@@ -375,7 +375,7 @@ impl Server {
         // The last word to who does not answer needs some of the time too.
         let polite = deadline - (drain / 10).min(Duration::from_millis(200));
         tracing::info!(clients = handle.lock().peers.len(), "draining");
-        handle.drive(|world, _| world.shut_down(ENDS));
+        handle.drive(|core, _| core.world.shut_down(ENDS));
         loop {
             tokio::select! {
                 () = tokio::time::sleep_until(polite) => break,
@@ -397,7 +397,10 @@ async fn tick(handle: Handle) {
         let due = handle.lock().world.poll_timeout();
         tokio::time::sleep_until(handle.clock.instant(due).into()).await;
         let (started, late) = (Instant::now(), handle.clock.now().since(due));
-        handle.drive(|world, now| world.tick(now));
+        handle.drive(|core, now| {
+            core.hear_all();
+            core.world.tick(now);
+        });
         if let Some(plan) = handle.with_world(|world| world.poll_plan()) {
             for line in &plan.lines {
                 tracing::info!(stage = line.stage.name(), "the plan is revised, {}: {}", line.verdict(), line.evidence);

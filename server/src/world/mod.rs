@@ -679,6 +679,12 @@ impl World {
         self.config.answer_wait()
     }
 
+    /// Whether nothing comes of a datagram before the next tick, so that a driver may hand it in just before that, with the time
+    /// when it arrived.
+    pub fn answers_with_tick(&self) -> bool {
+        self.config.answers == Answers::Tick
+    }
+
     /// World time between ticks.
     pub fn tick_period(&self) -> Duration {
         self.config.tick
