@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use eyeline_protocol::codec;
 use eyeline_protocol::{ClientControl, ClientRecord, ObjectId, Orientation, Position, Refusal, ServerControl, Want};
 use eyeline_server::net::{ArrivalLimits, Declined, Handle, ShellConfig, Stage, Watch, WatchError};
-use eyeline_server::world::{Limited, Limits};
+use eyeline_server::world::{Answers, Limited, Limits, WorldConfig};
 use peer::{CHAIRS, PATIENCE, Peer, Served, Victim, endpoint, hello, join_and_read_nothing, request, runtime};
 
 /// Two floods at once are each other's noise.
@@ -82,6 +82,51 @@ fn who_floods_with_poses_empty_or_largest_datagrams_is_sent_away() {
     let stats = served.handle.with_world(|world| *world.stats());
     assert_eq!(stats.busy, 3);
     assert!(stats.limited.of(Limited::Datagrams) > 1_000);
+}
+
+/// Where answers go with the tick, datagrams wait for it in the shell: in order before what is said on the stream, and never many.
+#[test]
+fn datagrams_that_wait_for_the_tick_are_heard_before_what_is_said_after_them_and_do_not_pile_up() {
+    let _alone = alone();
+    let config = WorldConfig::default().with_tick(Duration::from_secs(4)).with_answers(Answers::Tick);
+    let served = Served::of(config, ShellConfig::default());
+    let heard = || served.handle.with_world(|world| world.stats().datagrams_in);
+    runtime().block_on(async {
+        let mut peer = Peer::join(served.address).await;
+        // Just after a tick there is time enough until the next.
+        let ticks = || served.handle.with_world(|world| world.stats().ticks);
+        let before = ticks();
+        while ticks() == before {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        let before = ticks();
+        let send = async |peer: &mut Peer, count: u32| {
+            for n in 0..count {
+                let bytes = peer.datagram([request(n, Want::Place)]);
+                peer.connection.send_datagram_wait(bytes.into()).await.unwrap();
+            }
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        };
+        send(&mut peer, 10).await;
+        assert_eq!(heard(), 0);
+        peer.say(&codec::encode_control(&ClientControl::WorldWanted)).await;
+        tokio::time::sleep(Duration::from_millis(200)).await;
+        assert_eq!(heard(), 10);
+        send(&mut peer, 70).await;
+        assert_eq!(heard(), 10 + 64, "as many as may wait are heard at once");
+        assert_eq!(ticks(), before, "this machine is too slow for this test");
+        while ticks() == before {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        assert_eq!(heard(), 80);
+        // Who goes was listened to until the end.
+        send(&mut peer, 5).await;
+        let before = ticks();
+        assert_eq!(heard(), 80);
+        peer.connection.close(0u32.into(), b"");
+        tokio::time::sleep(Duration::from_millis(200)).await;
+        assert_eq!((heard(), ticks()), (85, before));
+    });
 }
 
 #[test]

@@ -32,6 +32,10 @@ pub struct Served {
 
 impl Served {
     pub fn new(config: ShellConfig) -> Served {
+        Served::of(WorldConfig::default(), config)
+    }
+
+    pub fn of(world_config: WorldConfig, config: ShellConfig) -> Served {
         let (ready, told) = mpsc::channel();
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
         let thread = std::thread::spawn(move || {
@@ -40,7 +44,8 @@ impl Served {
                 let identity = Identity::ephemeral().unwrap();
                 let address = "127.0.0.1:0".parse().unwrap();
                 let model = vec![7; 300_000].into();
-                let server = Server::bind(address, identity, world(clock.now()), model, clock, None).unwrap();
+                let world = world(world_config, clock.now());
+                let server = Server::bind(address, identity, world, model, clock, None).unwrap();
                 let server = server.with_config(config);
                 ready.send((server.local_addr().unwrap(), server.handle())).unwrap();
                 server.run(async { drop(stopped.await) }).await;
@@ -84,7 +89,7 @@ pub fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
 }
 
-fn world(now: WorldTime) -> World {
+fn world(config: WorldConfig, now: WorldTime) -> World {
     let class = ClassSpec { name: "chair".into(), radius: 0.3, bottom: 0.0, top: 1.0, speed_max: 1.0 };
     let chair = |index: u32| ObjectSpec {
         name: format!("chair {index}"),
@@ -97,7 +102,7 @@ fn world(now: WorldTime) -> World {
     };
     let spec = WorldSpec { classes: vec![class], objects: (0..CHAIRS).map(chair).collect(), ..WorldSpec::default() };
     let info = WorldInfo { name: "test".into(), hash: [0; 32], size_bytes: 300_000, two_sided: false };
-    World::new(WorldConfig::default(), spec, info, DVec3::ZERO, Box::new(Visible), now).unwrap()
+    World::new(config, spec, info, DVec3::ZERO, Box::new(Visible), now).unwrap()
 }
 
 /// Longest wait for something that must happen.
