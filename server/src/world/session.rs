@@ -3,7 +3,6 @@
 //! Nothing is queued but ids: records are built when a datagram is, from the newest committed state, so no queue can
 //! hold a stale pose and each is bounded by the number of objects.
 
-use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -80,6 +79,11 @@ struct Held {
 impl Subscription {
     fn new(active: bool, asked_seq: u32) -> Subscription {
         Subscription { told: None, is_sent: false, active, withheld: false, asked_seq }
+    }
+
+    /// It is asked for anew, and what was told stays known.
+    fn renew(&mut self, active: bool, asked_seq: u32) {
+        *self = Subscription { told: self.told.take(), ..Subscription::new(active, asked_seq) };
     }
 
     /// Tick of the state that was sent last; `WorldTime::MIN` if none is under way or arrived.
@@ -266,8 +270,7 @@ impl Session {
         (self.link, self.hold_max) = (Link::default(), Duration::ZERO);
         self.drawn.clear();
         for (&object, subscription) in &mut self.subscriptions {
-            let before = std::mem::replace(subscription, Subscription::new(subscription.active, 0));
-            learn(&mut self.known, object, before);
+            subscription.renew(subscription.active, 0);
             if subscription.active {
                 self.states_due.insert(object);
             } else if !tracking {
@@ -283,7 +286,7 @@ impl Session {
     pub fn forget_all(&mut self) {
         self.drawn.clear();
         let subscriptions = std::mem::take(&mut self.subscriptions);
-        subscriptions.into_iter().for_each(|(object, before)| learn(&mut self.known, object, before));
+        self.known.extend(subscriptions.into_iter().filter_map(|(object, before)| Some((object, before.told?))));
         self.bounds_due.clear();
         self.states_due.clear();
         self.hidden_due.clear();
@@ -463,14 +466,8 @@ impl Session {
         if !self.drawn.is_empty() {
             self.drawn.remove(&object);
         }
-        let fresh = Subscription::new(active, seq);
-        match self.subscriptions.entry(object) {
-            // It is asked anew, and knows what it knew.
-            Entry::Occupied(mut before) => {
-                *before.get_mut() = Subscription { told: before.get_mut().told.take(), ..fresh }
-            }
-            Entry::Vacant(place) => drop(place.insert(fresh)),
-        }
+        let before = self.subscriptions.entry(object).and_modify(|before| before.renew(active, seq));
+        before.or_insert_with(|| Subscription::new(active, seq));
     }
 
     /// Tells of the object no more, until it is asked for again.
@@ -747,11 +744,6 @@ impl Session {
         }
         Some(datagram)
     }
-}
-
-/// Notes what a subscription that is no more knew of an object.
-fn learn(known: &mut FxHashMap<ObjectId, Known>, object: ObjectId, before: Subscription) {
-    known.extend(before.told.map(|told| (object, told)));
 }
 
 impl Violation {
