@@ -17,7 +17,7 @@ const TICKS: u32 = 20;
 
 #[divan::bench(args = [32, 128], sample_count = 10, sample_size = 1)]
 fn session_tick(bencher: Bencher, clients: u32) {
-    let ways = WayRules { ways: 16, frames: 100, period: Duration::from_millis(50), side: 64, seed: 7 };
+    let ways = WayRules { ways: 16, frames: 100, period: Duration::from_millis(50), side: 64, hold: 0.0, seed: 7 };
     let rules = FeedRules { clients, culling: 0, joins_a_tick: 8, settle_ticks: 40, ticks: TICKS, ways };
     let stage = Stage::made(&RoomsRules { columns: 16, rows: 16, ..RoomsRules::default() });
     let made = stage.and_then(|stage| Ok((Feed::record(&stage, &rules)?.0, stage)));

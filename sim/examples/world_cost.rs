@@ -38,7 +38,7 @@ fn stage() -> anyhow::Result<Stage> {
 }
 
 fn record(file: &str, clients: u32, culling: u32) -> anyhow::Result<()> {
-    let ways = WayRules { ways: 64, frames: 400, period: Duration::from_millis(50), side: 64, seed: 7 };
+    let ways = WayRules { ways: 64, frames: 400, period: Duration::from_millis(50), side: 64, hold: 0.0, seed: 7 };
     let rules = FeedRules { clients, culling, joins_a_tick: 20, settle_ticks: 60, ticks: 40, ways };
     let (feed, played) = Feed::record(&stage()?, &rules)?;
     std::fs::write(file, feed.to_bytes()).with_context(|| format!("cannot write {file}"))?;

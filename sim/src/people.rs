@@ -92,6 +92,10 @@ pub struct Person {
     has_culled: bool,
     /// Whether an eye that stands still is culled for again.
     looks_again: bool,
+    /// For how far a walk one cull does, metres.
+    hold: f64,
+    /// How far the eye has gone since the frame before, metres.
+    gone: DVec3,
     /// Where anybody looks, if not all round.
     wedge: Option<Wedge>,
     hook: Option<FrameHook>,
@@ -119,9 +123,17 @@ impl Person {
             scratches: vec![ground.all_round.scratch(side)],
             has_culled: false,
             looks_again: false,
+            hold: 0.0,
+            gone: DVec3::ZERO,
             wedge: None,
             hook,
         }
+    }
+
+    /// Culls for a walk of twice `hold` metres at once. Farther than it keeps off walls it would see through them. 0, as without
+    /// this, culls for each place anew.
+    pub fn with_hold(self, hold: f64) -> Person {
+        Person { hold, ..self }
     }
 
     /// Looks from nine eyes of the lead's region instead of the whole: a heuristic that misses some of it.
@@ -143,7 +155,9 @@ impl Person {
         }
         let dt_s = self.last.map_or(0.0, |last| now.seconds_since(last));
         self.last = Some(now);
+        let before = self.pose.eye;
         self.pose = self.mover.as_mut()?.step(dt_s);
+        self.gone = self.pose.eye - before;
         let position = Position::from_metres(self.pose.feet - self.anchor).ok()?;
         Some(Pose { object: self.object, position, orientation: Orientation::from_yaw(self.pose.yaw) })
     }
@@ -177,6 +191,10 @@ impl Occlusion for Person {
         }
     }
 
+    fn stays(&self) -> bool {
+        self.gone == DVec3::ZERO
+    }
+
     fn parts(&self) -> Option<&[u32]> {
         // Nine eyes may be in nine parts.
         let [one] = &self.scratches[..] else { return None };
@@ -206,7 +224,7 @@ impl Driver for Person {
             // Only an eye or radius that is no number is refused.
             self.has_culled = match self.looks_again {
                 true => self.all_round.cull(region, scratch).is_ok(),
-                false => self.all_round.look(region, scratch).is_ok(),
+                false => self.all_round.look_around(region, (self.hold, self.gone), scratch).is_ok(),
             };
         }
         let region = EyeRegion { centre, radius: ahead.eye_radius };

@@ -84,6 +84,11 @@ impl Stage {
         Stage { model, plan, all_round, notes }
     }
 
+    /// The same for people who look through doors where there are rooms ([`AllRound::look_around`]).
+    pub fn with_rooms(self) -> Stage {
+        Stage { all_round: Arc::new(AllRound::among_rooms(&self.model.scene)), ..self }
+    }
+
     /// Places a recorded crowd, `copies` times in all where there are so many places, and raises the avatars' speed bound to what its people did.
     ///
     /// # Errors

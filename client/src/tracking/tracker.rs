@@ -585,7 +585,8 @@ impl Tracker {
         self.ahead = ahead;
         self.horizon = self.horizon.max(self.latest + ahead.time);
         let version = occlusion.version();
-        self.is_still = version.is_some() && version == self.version;
+        let is_same = version.is_some() && version == self.version;
+        self.is_still = is_same && occlusion.stays();
         self.version = version;
         self.look_at_parts(occlusion);
         self.stats.still_frames += u64::from(self.is_still);
@@ -608,7 +609,20 @@ impl Tracker {
             }
             self.expired = expired;
         }
-        // Step 3: what of T can be seen. (Step 2, the update of visible objects, is the server's push.)
+        // Step 3: what of T can be seen. (Step 2, the update of visible objects, is the server's push.) What entered T was hidden
+        // when it did, and so it is of who sees what was seen then.
+        if is_same && self.tests_all_of_t() {
+            debug_assert!(self.shows_nothing_of_t(occlusion), "something entered T that is not hidden");
+        } else {
+            self.look_at_t(occlusion);
+        }
+        // Step 4: what of V can't be seen any more.
+        self.let_go(occlusion, now);
+        self.debug_check();
+    }
+
+    /// Step 3.
+    fn look_at_t(&mut self, occlusion: &dyn Occlusion) {
         let mut exposed = std::mem::take(&mut self.exposed);
         exposed.clear();
         self.stats.work += self.index.exposed(occlusion, &mut exposed) as u64;
@@ -620,9 +634,17 @@ impl Tracker {
             self.settle(object, occlusion);
         }
         self.exposed = exposed;
-        // Step 4: what of V can't be seen any more.
-        self.let_go(occlusion, now);
-        self.debug_check();
+    }
+
+    fn shows_nothing_of_t(&self, occlusion: &dyn Occlusion) -> bool {
+        let mut exposed = Vec::new();
+        self.index.exposed(occlusion, &mut exposed);
+        exposed.is_empty()
+    }
+
+    /// Whether nothing enters T but what is hidden as it lies there. The paper's way has bounds of a frame ahead there, too.
+    fn tests_all_of_t(&self) -> bool {
+        self.config.growth == Growth::AtClient && self.config.sabotage.is_none()
     }
 
     /// Once the eyes see into other parts of the scene, what was sealed off from them is looked at again.
@@ -818,14 +840,17 @@ impl Tracker {
             self.sealed.insert(object);
             return;
         }
-        if !hidden(bound_at(horizon)) {
+        let end_of =
+            |frames: u32| horizon.offset_micros(frame_micros.saturating_mul(i64::from(frames))).min(fixed_expiry);
+        let is_exact = self.is_still && self.config.exact;
+        let mut frames = entry.stage_frames;
+        // What is hidden as it will have grown is hidden now, which it mostly is.
+        let mut is_hidden = !is_exact && hidden(bound_at(end_of(frames)));
+        if !is_hidden && !hidden(bound_at(horizon)) {
             self.stats.work += tested;
             return self.expose(object, tbv);
         }
-        let mut frames = entry.stage_frames;
-        if self.is_still && self.config.exact {
-            let end_of =
-                |frames: u32| horizon.offset_micros(frame_micros.saturating_mul(i64::from(frames))).min(fixed_expiry);
+        if is_exact {
             // What does not grow is hidden for as long as it is now.
             let exact = match tbv.speed > 0.0 {
                 true => longest_hidden(frames, |frames| hidden(bound_at(end_of(frames)))),
@@ -841,15 +866,15 @@ impl Tracker {
             frames = 0;
         }
         while frames > 0 {
-            let end = horizon.offset_micros(frame_micros.saturating_mul(i64::from(frames))).min(fixed_expiry);
-            let grown = bound_at(end);
-            if hidden(grown) {
+            if is_hidden {
+                let end = end_of(frames);
                 entry.stage_frames = frames;
                 entry.decision = (Decision::Hidden { frames }, self.latest);
                 self.stats.work += tested;
-                return self.keep(object, grown, end);
+                return self.keep(object, bound_at(end), end);
             }
             frames /= 2;
+            is_hidden = frames > 0 && hidden(bound_at(end_of(frames)));
         }
         // Hidden now, but perhaps not by the next frame: look again then.
         entry.stage_frames = 1;

@@ -5,16 +5,19 @@
 
 use std::sync::Arc;
 
+use glam::DVec3;
+
 use crate::occluders::{Occluders, Polygon};
 use crate::under::{RegionError, UnderOcclusion};
 use crate::under_region::NARROW;
-use crate::{Aabb, Bound, EyeRegion, Scene, SealedParts};
+use crate::{Aabb, Bound, EyeRegion, KdRules, KdTree, Scene, SealedParts, Tessellation};
 
 /// A scene's occluders in a tree, ready to be looked at from anywhere. Never changes once made.
 #[derive(Debug)]
 pub struct AllRound {
     occluders: Arc<Occluders>,
     parts: Option<Arc<SealedParts>>,
+    rooms: Option<Arc<dyn Tessellation>>,
 }
 
 /// What one worker needs to cull: the image and a stack. The image keeps the last eye's occlusion.
@@ -25,6 +28,8 @@ pub struct AllRoundScratch {
     /// From where the image was drawn; none before it was.
     last: Option<EyeRegion>,
     kept: u64,
+    /// For how many culls doors are not asked, since they did not answer.
+    doorless: u32,
 }
 
 /// Work done by one cull.
@@ -40,10 +45,15 @@ pub struct AllRoundStats {
     pub polygons: u64,
     /// Joints that were drawn.
     pub joints: u64,
+    /// Windows that were looked through, where doors are asked.
+    pub looks: u64,
 }
 
 /// Polygons that look narrower than this are not drawn, since they would cover next to no whole pixel.
 const WIDTH_MIN_PX: f64 = 1.5;
+
+/// Where doors do not answer they are not asked for so many culls: where there are no rooms here, there are none nearby.
+const DOORLESS_CULLS: u32 = 64;
 
 impl AllRound {
     /// Prepares a scene.
@@ -51,14 +61,24 @@ impl AllRound {
         AllRound::from_occluders(Arc::new(Occluders::build(scene)))
     }
 
+    /// Prepares a scene of rooms: cells are cut at its walls, for [`AllRound::look_around`].
+    pub fn among_rooms(scene: &Scene) -> AllRound {
+        AllRound::new(scene).with_rooms(Arc::new(KdTree::build(scene, KdRules::default())))
+    }
+
     /// Prepares given occluders.
     pub fn from_occluders(occluders: Arc<Occluders>) -> AllRound {
-        AllRound { occluders, parts: None }
+        AllRound { occluders, parts: None, rooms: None }
     }
 
     /// The same, knowing which parts of its scene walls seal off from each other.
     pub fn with_parts(&self, parts: Arc<SealedParts>) -> AllRound {
-        AllRound { occluders: Arc::clone(&self.occluders), parts: Some(parts) }
+        AllRound { occluders: Arc::clone(&self.occluders), parts: Some(parts), rooms: self.rooms.clone() }
+    }
+
+    /// The same, knowing cells of its scene that were cut at walls, for [`AllRound::look_around`].
+    pub fn with_rooms(self, rooms: Arc<dyn Tessellation>) -> AllRound {
+        AllRound { rooms: Some(rooms), ..self }
     }
 
     /// The occluders, for an [`UnderOcclusion`] of one's own.
@@ -75,6 +95,7 @@ impl AllRound {
             stats: AllRoundStats::default(),
             last: None,
             kept: 0,
+            doorless: 0,
         }
     }
 
@@ -94,25 +115,60 @@ impl AllRound {
         self.cull(region, scratch)
     }
 
+    /// The same as [`AllRound::look`] for an eye that walks among rooms ([`AllRound::with_rooms`]): finds out what can be seen through
+    /// doors from `region` grown by `reach` metres `towards` where it goes ([`EyeRegion::grown`]), and keeps that for as long as
+    /// the region lies in it. No image is drawn, so what stands in a room hides nothing. A reach across a wall shows all that is
+    /// behind. Where cells are no rooms, it is [`AllRound::look`].
+    pub fn look_around<'a>(
+        &self,
+        region: EyeRegion,
+        (reach, towards): (f64, DVec3),
+        scratch: &'a mut AllRoundScratch,
+    ) -> Result<&'a UnderOcclusion, RegionError> {
+        let Some(rooms) = self.rooms.as_deref().filter(|_| scratch.doorless == 0) else {
+            scratch.doorless = scratch.doorless.saturating_sub(1);
+            return self.look(region, scratch);
+        };
+        let knows_all = self.parts.is_none() || scratch.occlusion.knows_parts();
+        if scratch.last.is_some_and(|last| last.contains(&region)) && knows_all {
+            scratch.kept += 1;
+            return Ok(&scratch.occlusion);
+        }
+        let grown = region.grown(reach, towards);
+        self.start(grown, scratch)?;
+        let (is_known, looks) = scratch.occlusion.look_through_doors_only(rooms, grown);
+        if !is_known {
+            scratch.doorless = DOORLESS_CULLS;
+            return self.look(region, scratch);
+        }
+        scratch.stats.looks = looks as u64;
+        scratch.last = Some(grown);
+        Ok(&scratch.occlusion)
+    }
+
     /// Draws what can be seen from `region`. The result hides only what is certainly hidden.
     pub fn cull<'a>(
         &self,
         region: EyeRegion,
         scratch: &'a mut AllRoundScratch,
     ) -> Result<&'a UnderOcclusion, RegionError> {
-        assert!(Arc::ptr_eq(&self.occluders, scratch.occlusion.occluders()), "scratch was made for another scene");
-        scratch.last = None;
-        if let Some(parts) = self.parts.as_ref().filter(|_| !scratch.occlusion.knows_parts()) {
-            scratch.occlusion.know_parts(parts);
-        }
-        scratch.occlusion.start(region)?;
-        scratch.stats = AllRoundStats::default();
+        self.start(region, scratch)?;
         self.walk(region, scratch);
         let drawn = scratch.occlusion.stats();
         scratch.stats.polygons = drawn.polygons;
         scratch.stats.joints = drawn.joints;
         scratch.last = Some(region);
         Ok(&scratch.occlusion)
+    }
+
+    fn start(&self, region: EyeRegion, scratch: &mut AllRoundScratch) -> Result<(), RegionError> {
+        assert!(Arc::ptr_eq(&self.occluders, scratch.occlusion.occluders()), "scratch was made for another scene");
+        scratch.last = None;
+        if let Some(parts) = self.parts.as_ref().filter(|_| !scratch.occlusion.knows_parts()) {
+            scratch.occlusion.know_parts(parts);
+        }
+        scratch.stats = AllRoundStats::default();
+        scratch.occlusion.start(region)
     }
 
     fn walk(&self, region: EyeRegion, scratch: &mut AllRoundScratch) {

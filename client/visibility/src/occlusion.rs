@@ -20,6 +20,12 @@ pub trait Occlusion {
         None
     }
 
+    /// Of who has the same [`Occlusion::version`] as before: whether that is to be expected to go on, as of an eye that stands still,
+    /// and not of one that walks about in the region that was culled for.
+    fn stays(&self) -> bool {
+        true
+    }
+
     /// The parts of the scene that the eyes of the region can see into at all ([`crate::SealedParts`]), ascending; none
     /// if that is not known. While they stay the same, what [`Occlusion::seals_off`] said goes on to hold, wherever the
     /// eyes move.

@@ -17,6 +17,9 @@
 //! segment meets it, is in all half-spaces of the window before. So p is in the *piece* of Aₖ that its last window shows.
 //! Cells within reach of the ball are all piece.
 //!
+//! **Beyond the root box** nothing is seen unless a piece reaches its surface: before the segment leaves the box it is in a cell, and there
+//! by the same argument in a piece.
+//!
 //! Windows that lead from one cell to one neighbour are kept as one, the least rectangle around them, which is right for any
 //! superset. One that grows is looked through again; one that keeps growing becomes the whole face, so the walk ends.
 
@@ -30,8 +33,8 @@ use glam::DVec3;
 
 use crate::{Aabb, Bound, CellId, Cells, EyeRegion, Neighbour, SealedFace, Tessellation, View};
 
-/// So many windows are looked through; where there are more, cells are no rooms, and an image says more for its time.
-const LOOKS_MAX: usize = 96;
+/// So many windows are looked through for a view; where there are more, cells are no rooms, and an image says more for its time.
+pub(crate) const LOOKS_MAX: usize = 96;
 
 /// A window that grew so often becomes the whole face.
 const GROWTHS_MAX: u8 = 3;
@@ -82,6 +85,8 @@ pub(crate) struct Portals {
     view: [HalfSpace; 5],
     /// What the cells fill, once a walk came to its end.
     known: Option<Aabb>,
+    /// Whether what lies beyond that may be seen.
+    sees_out: bool,
     pieces: Vec<Piece>,
     waiting: BinaryHeap<Reverse<(u64, u32)>>,
     /// In which frame a cell was reached, and its first piece then.
@@ -89,6 +94,7 @@ pub(crate) struct Portals {
     frame: u32,
     reached: Vec<CellId>,
     looks: usize,
+    looks_max: usize,
 }
 
 impl Default for HalfSpace {
@@ -145,16 +151,19 @@ impl Portals {
         self.looks
     }
 
-    /// Walks from a ball through what `believes` does not close, within the view. The view's eye is not looked at.
+    /// Walks from a ball through what `believes` does not close, through `looks_max` windows at most; within the view, if there is
+    /// one, whose eye is not looked at.
     pub fn walk(
         &mut self,
         tessellation: &dyn Tessellation,
         region: EyeRegion,
-        view: &View,
+        view: Option<&View>,
+        looks_max: usize,
         mut believes: impl FnMut(&SealedFace<'_>) -> bool,
     ) {
         let cells = tessellation.cells();
         self.begin(cells, region, view);
+        self.looks_max = looks_max;
         if !cells.root().contains_box(&Aabb::around(self.centre, DVec3::splat(self.radius))) {
             return;
         }
@@ -181,7 +190,7 @@ impl Portals {
             let piece = &mut self.pieces[index as usize];
             piece.is_waiting = false;
             let piece = *piece;
-            if self.looks == LOOKS_MAX {
+            if self.looks == self.looks_max {
                 return;
             }
             self.looks += 1;
@@ -197,17 +206,21 @@ impl Portals {
                 self.enter(piece.cell, neighbour, window, &shared, self.relative(cells.aabb(neighbour.cell)));
             }
         }
-        let Portals { pieces, view, .. } = self;
+        let root = self.relative(&cells.root());
+        let inner = root.inflated(-self.slack);
+        let Portals { pieces, view, sees_out, .. } = self;
+        *sees_out = false;
         // A piece that sees nothing in view is empty, and a box that is empty meets no other.
         for piece in pieces {
             if !piece.sides.iter().chain(view.iter()).all(|side| side.cut(&mut piece.around)) {
                 piece.around = Aabb::EMPTY;
             }
+            *sees_out |= !piece.around.is_empty() && !inner.contains_box(&piece.around);
         }
         self.known = Some(cells.root());
     }
 
-    fn begin(&mut self, cells: &Cells, region: EyeRegion, view: &View) {
+    fn begin(&mut self, cells: &Cells, region: EyeRegion, view: Option<&View>) {
         self.known = None;
         self.looks = 0;
         self.pieces.clear();
@@ -224,6 +237,10 @@ impl Portals {
         let reach = root.min.abs().max(root.max.abs()).element_sum() + self.centre.abs().element_sum();
         self.slack = OUTWARD * reach;
         self.radius = region.radius + self.slack;
+        let Some(view) = view else {
+            self.view = [ALL; 5];
+            return;
+        };
         let [right, up, forward] = view.axes();
         let x = (view.fov_x * 0.5).tan();
         let y = x * f64::from(view.resolution.height.max(1)) / f64::from(view.resolution.width.max(1));
@@ -350,7 +367,10 @@ impl Portals {
     /// Whether no point of the bound can be seen.
     pub fn hides(&self, bound: &Bound) -> bool {
         let Some(root) = &self.known else { return false };
-        let Some(aabb) = bound.outer_box().filter(|aabb| root.contains_box(aabb)) else { return false };
+        let Some(aabb) = bound.outer_box() else { return false };
+        if !(root.contains_box(&aabb) || !self.sees_out && aabb.min.cmple(aabb.max).all()) {
+            return false;
+        }
         let relative = self.relative(&aabb);
         !self.pieces.iter().any(|piece| self.shows(piece, &relative))
     }

@@ -25,7 +25,7 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 
 use crate::occluders::Occluders;
-use crate::portals::Portals;
+use crate::portals::{LOOKS_MAX, Portals};
 use crate::under_extent::{Extent, Reach, Seen};
 use crate::under_face::{Face, Region};
 use crate::under_region::NARROW;
@@ -77,6 +77,8 @@ pub struct UnderOcclusion {
     image: Image,
     /// What is seen through doors, where [`crate::RegionCuller`] asked.
     pub(crate) portals: Portals,
+    /// Whether doors are all that is asked, and no image was drawn.
+    is_all_doors: bool,
     /// In which parts of the scene the eyes are, where somebody knows of parts.
     parts: Option<PartsInSight>,
 }
@@ -185,7 +187,7 @@ impl UnderOcclusion {
             sights: Vec::new(),
             stats: UnderStats::default(),
         };
-        UnderOcclusion { occluders, image, portals: Portals::default(), parts: None }
+        UnderOcclusion { occluders, image, portals: Portals::default(), is_all_doors: false, parts: None }
     }
 
     /// Knows from the next start on which parts of the scene walls seal off from each other.
@@ -221,6 +223,7 @@ impl UnderOcclusion {
             return Err(RegionError::NotFinite);
         }
         self.portals.forget();
+        self.is_all_doors = false;
         if let Some(parts) = &mut self.parts {
             parts.look(region, self.image.near);
         }
@@ -285,8 +288,18 @@ impl UnderOcclusion {
     /// Finds out what the region, which this was started with, sees through doors in a view.
     pub(crate) fn look_through_doors(&mut self, rooms: &dyn Tessellation, region: EyeRegion, view: &View) {
         let mut portals = std::mem::take(&mut self.portals);
-        portals.walk(rooms, region, view, |seal| self.believes(seal));
+        portals.walk(rooms, region, Some(view), LOOKS_MAX, |seal| self.believes(seal));
         self.portals = portals;
+    }
+
+    /// Finds out what the region, which this was started with, sees through doors all round. If that is known, it is all that
+    /// will be asked, and nothing need be drawn: the second part is the number of windows looked through.
+    pub(crate) fn look_through_doors_only(&mut self, rooms: &dyn Tessellation, region: EyeRegion) -> (bool, usize) {
+        let mut portals = std::mem::take(&mut self.portals);
+        portals.walk(rooms, region, None, LOOKS_MAX_ALL_ROUND, |seal| self.believes(seal));
+        self.is_all_doors = portals.speak();
+        self.portals = portals;
+        (self.is_all_doors, self.portals.looks())
     }
 
     /// Pixels per unit of tangent.
@@ -525,15 +538,18 @@ impl Image {
     }
 }
 
+/// So many windows are looked through all round, where doors are to do instead of an image: each costs about a microsecond.
+const LOOKS_MAX_ALL_ROUND: usize = 1024;
+
 impl Occlusion for UnderOcclusion {
     fn hides(&self, bound: &Bound) -> bool {
         self.portals.hides(bound)
-            || self.covers(bound)
-            || self.image.radius > 0.0 && sheets::hide(&self.image, &self.occluders, bound)
+            || !self.is_all_doors
+                && (self.covers(bound) || self.image.radius > 0.0 && sheets::hide(&self.image, &self.occluders, bound))
     }
 
     fn hides_group(&self, around: &Bound) -> bool {
-        self.portals.hides(around) || self.covers(around)
+        self.portals.hides(around) || !self.is_all_doors && self.covers(around)
     }
 
     fn version(&self) -> Option<u64> {

@@ -157,6 +157,9 @@ pub enum ViewError {
     Resolution(Resolution),
 }
 
+/// How far the middle of a region lies ahead of who walks, of its reach: not quite at the edge, for who turns.
+const ONWARD: f64 = 0.9;
+
 /// The ball of eye positions that visibility must hold for. A point is a region of radius 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EyeRegion {
@@ -170,5 +173,44 @@ impl EyeRegion {
     /// The region that is the single point `eye`.
     pub const fn point(eye: DVec3) -> EyeRegion {
         EyeRegion { centre: eye, radius: 0.0 }
+    }
+
+    /// The region of all eyes within `reach` metres of this one's, or of where these have gone on by nearly as much `towards` some
+    /// direction (metres of any length; none is zero): who walks on stays in it for twice as long.
+    pub fn grown(self, reach: f64, towards: DVec3) -> EyeRegion {
+        let centre = self.centre + towards.normalize_or_zero() * (reach * ONWARD);
+        EyeRegion { centre, radius: self.radius + reach }
+    }
+
+    /// Whether every eye of `other` is one of this region's. Rounds outward: a tie, or doubt, is `false`, unless they are equal.
+    pub fn contains(&self, other: &EyeRegion) -> bool {
+        let apart = self.centre.distance(other.centre) * (1.0 + 1e-12);
+        self == other || (apart + other.radius) * (1.0 + 1e-12) < self.radius
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_walks_on_stays_in_a_region_for_nearly_twice_its_radius() {
+        let eye = EyeRegion::point(DVec3::new(3.0, 1.6, -2.0));
+        let ahead = DVec3::new(0.0, 0.0, 0.07);
+        let region = eye.grown(0.5, ahead);
+        let at = |metres: f64| EyeRegion::point(eye.centre + ahead.normalize() * metres);
+        assert!(region.contains(&eye) && region.contains(&at(0.94)));
+        assert!(!region.contains(&at(0.951)) && !region.contains(&at(-0.051)));
+        // Who stands has all of it around, and a ball must lie in it whole.
+        let region = eye.grown(0.5, DVec3::ZERO);
+        assert!(region.contains(&at(0.49)) && region.contains(&at(-0.49)));
+        assert!(!region.contains(&EyeRegion { radius: 0.02, ..at(0.49) }));
+        // Nothing is reached: it is itself.
+        let ball = EyeRegion { radius: 0.3, ..eye };
+        assert_eq!(ball.grown(0.0, ahead), ball);
+        assert!(ball.contains(&ball) && eye.contains(&eye));
+        for bad in [EyeRegion::point(DVec3::NAN), EyeRegion { radius: f64::NAN, ..eye }] {
+            assert!(!region.contains(&bad) && !bad.contains(&eye));
+        }
     }
 }

@@ -171,6 +171,83 @@ fn what_is_hidden_from_a_ball_is_hidden_from_every_eye_of_it() {
     }
 }
 
+/// An eye that walks straight through what it looked around in, from `eye` towards a direction, and what is hidden all the way.
+#[test]
+fn who_walks_sees_nothing_that_was_hidden_before_the_walk() {
+    let mut rng = Pcg64::seed_from_u64(12);
+    for (corners, sides, turn) in [(Corners::Abut, Sides::Both, 0.0), (Corners::Overlap, Sides::Front, 0.0)] {
+        let scene = rooms(4, corners, sides, turn, &mut rng);
+        let (rays, all_round) = (Rays::new(&scene), AllRound::among_rooms(&scene));
+        let (mut hidden, mut steps, mut beyond) = (0, 0, 0);
+        for round in 0..60 {
+            let mut scratch = all_round.scratch(32);
+            let (reach, towards) = (rng.random_range(0.0..0.3), direction(&mut rng).with_y(0.0));
+            let mut eye = random_eye(4, turn, &mut rng);
+            if round % 3 == 0 {
+                // Beside a wall, so that the ball may reach through it.
+                eye.x = (eye.x / ROOM).round() * ROOM + 0.12;
+            }
+            let look = |eye: DVec3, scratch: &mut _| {
+                all_round.look_around(EyeRegion::point(eye), (reach, towards), scratch).unwrap().version()
+            };
+            let version = look(eye, &mut scratch);
+            assert!(
+                scratch.stats().looks > 0 && scratch.stats().polygons == 0,
+                "no image is drawn: {:?}",
+                scratch.stats()
+            );
+            let bounds: Vec<Bound> = (0..40)
+                .map(|i| match i % 4 {
+                    // Grown through floor and ceiling, and beyond all walls.
+                    0 => Bound::Upright { centre: random_eye(4, turn, &mut rng), radius: 3.0, half_height: 4.0 },
+                    _ => random_bound(eye, 12.0, &mut rng),
+                })
+                .filter(|bound| scratch.occlusion().hides(bound))
+                .collect();
+            hidden += bounds.len();
+            beyond += bounds.iter().filter(|bound| !scene.bounds().contains_box(&bound.outer_box().unwrap())).count();
+            for step in 0..8 {
+                let at = eye + towards.normalize() * (0.25 * reach * f64::from(step));
+                if look(at, &mut scratch) != version {
+                    break;
+                }
+                steps += 1;
+                for bound in &bounds {
+                    if let Some([from, point]) = witness(&scene, &rays, EyeRegion::point(at), bound, 15, &mut rng) {
+                        panic!("{bound:?} was called hidden for a walk {reach} m round {eye}, but {from} sees {point}");
+                    }
+                }
+            }
+        }
+        println!("{corners:?}: {hidden} of 2400 hidden, {beyond} of them beyond all walls, {steps} steps of 480");
+        assert!(hidden > 800 && beyond > 50 && steps > 240, "{hidden}, {beyond}, {steps}: the test says little");
+    }
+}
+
+#[test]
+fn where_cells_are_no_rooms_doors_give_way_to_the_image() {
+    // Nothing but small things: any look goes through all cells.
+    let mut rng = Pcg64::seed_from_u64(13);
+    let scene = made::soup(3, 3000);
+    let (all_round, image) = (AllRound::among_rooms(&scene), AllRound::new(&scene));
+    let (mut scratch, mut other) = (all_round.scratch(64), image.scratch(64));
+    let mut drawn = 0;
+    for _ in 0..80 {
+        let eye = EyeRegion::point(direction(&mut rng) * 0.2);
+        all_round.look_around(eye, (0.1, DVec3::X), &mut scratch).unwrap();
+        image.cull(eye, &mut other).unwrap();
+        if scratch.stats().looks == 0 {
+            drawn += 1;
+            assert_eq!(scratch.stats(), other.stats());
+            for _ in 0..50 {
+                let bound = random_bound(eye.centre, 12.0, &mut rng);
+                assert_eq!(scratch.occlusion().hides(&bound), other.occlusion().hides(&bound), "{bound:?}");
+            }
+        }
+    }
+    assert!(drawn > 60, "doors answered {} of 80 times", 80 - drawn);
+}
+
 fn wall(triangles: &mut Vec<Triangle>, x: [f32; 2], y: [f32; 2], z: f32) {
     let at = |i: usize, j: usize| Vec3::new(x[i], y[j], z);
     for corners in [[at(0, 0), at(1, 0), at(1, 1)], [at(0, 0), at(1, 1), at(0, 1)]] {

@@ -166,7 +166,8 @@ impl Feed {
                 let tracker = TrackerConfig::default().with_frame(period);
                 let config = SessionConfig::default().with_tracker(tracker);
                 let (index_maker, driver): (IndexMaker, Box<dyn Driver>) = if joined < rules.culling {
-                    let person = Person::on(&stage.ground(), rules.ways.seed, index, rules.ways.side, None);
+                    let person = Person::on(&stage.ground(), rules.ways.seed, index, rules.ways.side, None)
+                        .with_hold(rules.ways.hold);
                     (Box::new(move || Box::new(DynamicOctree::new(bounds))), Box::new(person))
                 } else {
                     let replayer = Replayer::new(ways.clone(), index, rules.clients as usize, None);
@@ -441,7 +442,7 @@ mod tests {
         joins_a_tick: 2,
         settle_ticks: 4,
         ticks: 10,
-        ways: WayRules { ways: 3, frames: 20, period: Duration::from_millis(50), side: 32, seed: 7 },
+        ways: WayRules { ways: 3, frames: 20, period: Duration::from_millis(50), side: 32, hold: 0.25, seed: 7 },
     };
 
     #[test]

@@ -63,6 +63,18 @@ pub fn load_average() -> Option<f64> {
     std::fs::read_to_string("/proc/loadavg").ok()?.split_whitespace().next()?.parse().ok()
 }
 
+/// Processor time that this machine's host has given to others so far, all cores together; `None` where the system does not tell.
+pub fn stolen() -> Option<Duration> {
+    parse_stolen(&std::fs::read_to_string("/proc/stat").ok()?)
+}
+
+/// The eighth number of the first line, in hundredths of a second, too.
+fn parse_stolen(stat: &str) -> Option<Duration> {
+    let ticks: u64 =
+        stat.lines().find_map(|line| line.strip_prefix("cpu "))?.split_whitespace().nth(7)?.parse().ok()?;
+    Some(Duration::from_secs_f64(ticks as f64 / STAT_HZ))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -75,6 +87,15 @@ mod tests {
         assert_eq!(parse(status, stat), Some(usage));
         for (status, stat) in [("", stat), (status, ""), (status, "7 (x) S 1 2"), ("VmRSS: many kB\n", stat)] {
             assert_eq!(parse(status, stat), None);
+        }
+    }
+
+    #[test]
+    fn stolen_time_is_one_of_many() {
+        let stat = "cpu  1 2 3 4 5 6 7 250 9 10\ncpu0 1 2 3 4 5 6 7 8 9 10\n";
+        assert_eq!(parse_stolen(stat), Some(Duration::from_millis(2500)));
+        for stat in ["", "cpu0 1 2 3 4 5 6 7 8\n", "cpu  1 2 3\n", "cpu  1 2 3 4 5 6 7 many\n"] {
+            assert_eq!(parse_stolen(stat), None);
         }
     }
 

@@ -76,6 +76,8 @@ pub struct ThrongRules {
     pub begin: LocalTime,
     /// Changes of each kind a second.
     pub churn: f64,
+    /// Number of the first who changes at all.
+    pub steady: usize,
     /// Decides who changes when.
     pub seed: u64,
 }
@@ -108,7 +110,7 @@ struct Member {
     deadline: LocalTime,
 }
 
-/// A crowd that replays.
+/// A crowd.
 pub struct Throng {
     rules: ThrongRules,
     recruiter: Recruiter,
@@ -123,6 +125,8 @@ pub struct Throng {
     links: Vec<Option<Link>>,
     /// Whether who has left is not to be replaced.
     is_ending: bool,
+    /// When it is looked next whether somebody has not been let in.
+    looks_next: LocalTime,
     /// Links that something has happened to.
     touched: Vec<usize>,
     /// When links want to be woken. Those that want it later by now are put back.
@@ -168,6 +172,7 @@ impl Throng {
             members: Vec::new(),
             links: Vec::new(),
             is_ending: false,
+            looks_next: LocalTime::ZERO,
             touched: Vec::new(),
             timers: BinaryHeap::new(),
             due: BinaryHeap::new(),
@@ -184,11 +189,12 @@ impl Throng {
     /// # Errors
     /// If somebody is not let in.
     pub async fn join(&mut self) -> anyhow::Result<()> {
-        let ThrongRules { first, end, churn, seed, .. } = self.rules;
+        let ThrongRules { first, end, churn, steady, seed, .. } = self.rules;
         while first + self.members.len() < end {
             let number = self.members.len();
             let Recruit { session, player } = (self.recruiter)(first + number, 0);
-            let churn = Churn::new(churn, seed, first + number, end - first);
+            let changing = end.saturating_sub(steady.max(first));
+            let churn = (first + number >= steady).then(|| Churn::new(churn, seed, first + number, changing)).flatten();
             self.members.push(Member {
                 session,
                 player,
@@ -292,10 +298,37 @@ impl Throng {
             () = tokio::time::sleep_until(next.into()) => {}
         }
         self.wake();
-        self.look_after_touched()?;
-        self.frames()?;
-        // Those who cull are tasks of the same thread.
-        tokio::task::yield_now().await;
+        self.look_for_overdue()?;
+        // Frames come first: all that a server says at a tick arrives at once, and they must not wait for it.
+        loop {
+            self.frames()?;
+            for _ in 0..LOOKS_MAX {
+                let Some(handle) = self.touched.pop() else {
+                    // There are other tasks on this thread.
+                    tokio::task::yield_now().await;
+                    return Ok(());
+                };
+                self.look_after(handle)?;
+            }
+        }
+    }
+
+    /// Nobody is waited for without end.
+    fn look_for_overdue(&mut self) -> anyhow::Result<()> {
+        let now = self.clock.now();
+        if now < self.looks_next {
+            return Ok(());
+        }
+        self.looks_next = now + PATIENCE / 50;
+        let is_overdue = |member: &Member| !member.is_in && now >= member.deadline;
+        if let Some(number) = self.members.iter().position(is_overdue) {
+            anyhow::bail!(
+                "client {}: it is not let in within {} s: {}; is the server running, and is this its address?",
+                self.rules.first + number,
+                PATIENCE.as_secs(),
+                self.how_far(number),
+            );
+        }
         Ok(())
     }
 
@@ -411,16 +444,6 @@ impl Throng {
 
     /// Plays the frames that are due, and makes the changes.
     fn frames(&mut self) -> anyhow::Result<()> {
-        let now = self.clock.now();
-        let is_overdue = |member: &Member| !member.is_in && now >= member.deadline;
-        if let Some(number) = self.members.iter().position(is_overdue) {
-            anyhow::bail!(
-                "client {}: it is not let in within {} s: {}; is the server running, and is this its address?",
-                self.rules.first + number,
-                PATIENCE.as_secs(),
-                self.how_far(number),
-            );
-        }
         // A batch at a time: what arrives must not wait for all of them.
         for _ in 0..FRAMES_MAX {
             let Some(Reverse((due, number))) =
@@ -439,8 +462,7 @@ impl Throng {
             if let Some(link) = self.links[handle.0].as_mut() {
                 link.say(&mut self.members[number].session, self.clock.now());
             }
-            self.touch(handle.0);
-            self.look_after_touched()?;
+            self.look_after(handle.0)?;
         }
         Ok(())
     }
@@ -461,8 +483,10 @@ impl Throng {
         let started = Instant::now();
         let ahead = session.ahead();
         *looked = Looked { at_all: session.tracks() || !session.looks(), has_frame: true, ahead };
+        let mut cull = Duration::ZERO;
         let time = if looked.at_all {
             player.cull(ahead);
+            cull = started.elapsed();
             player.occlusion().and_then(|occlusion| session.frame(ahead, occlusion, now))
         } else {
             session.frame_alone(ahead, now)
@@ -471,8 +495,8 @@ impl Throng {
             frame: *frames,
             began: now,
             time,
-            cull: Duration::ZERO,
-            track: started.elapsed(),
+            cull,
+            track: started.elapsed() - cull,
             late: now.since(due),
             skipped: *skipped,
         };
@@ -542,6 +566,9 @@ impl Throng {
 
 /// How many frames are played before what has arrived is looked at again.
 const FRAMES_MAX: usize = 16;
+
+/// How many links are looked after before frames that are due by then are played.
+const LOOKS_MAX: usize = 4;
 
 fn send(udp: &UdpSocketState, socket: &tokio::net::UdpSocket, transmit: &quinn_proto::Transmit, packet: &[u8]) {
     let transmit = quinn::udp::Transmit {

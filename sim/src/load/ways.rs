@@ -1,6 +1,6 @@
 //! How can one core play a thousand people? Most of them see what somebody else saw before.
 //!
-//! A client's culling costs many times its tracking, and a server never notices who culls. So a few people walk a *way*
+//! A client's culling by images costs many times its tracking, and a server never notices who culls. So a few people walk a *way*
 //! each before the run begins, and of every frame it is recorded where they stood and which places they could see into:
 //! the plan of the building is cut into square columns, and a real cull from that eye says of each whether it is hidden.
 //! Those who *replay* a way stand in turn where it was recorded, and ask the record instead of an image of their own.
@@ -225,10 +225,10 @@ impl Columns {
     }
 }
 
-/// One recorded frame: where somebody was, and which columns were in sight.
+/// One recorded frame: where somebody was, and by which of the record's culls which columns were in sight.
 struct Seen {
     pose: WalkerPose,
-    exposed: Exposed,
+    cull: usize,
 }
 
 /// Recorded ways, shared by all who replay them.
@@ -237,6 +237,8 @@ pub struct Ways {
     anchor: DVec3,
     period: Duration,
     ways: Vec<Vec<Seen>>,
+    /// What was in sight by each cull.
+    culls: Vec<Exposed>,
 }
 
 /// How to record.
@@ -250,6 +252,8 @@ pub struct WayRules {
     pub period: Duration,
     /// Pixels a side of the images of the culls.
     pub side: u32,
+    /// Half of the walk that one cull does for, metres ([`Person::with_hold`](crate::people::Person::with_hold)).
+    pub hold: f64,
     /// Decides who walks where.
     pub seed: u64,
 }
@@ -267,28 +271,34 @@ impl Ways {
         let columns = Columns::around(bounds);
         let mut scratch = ground.all_round.scratch(rules.side);
         let mut ways = Vec::with_capacity(rules.ways);
+        let mut culls = Vec::new();
         for number in 0..rules.ways {
             // Of a world of storeys the lowest; made rooms stand at 0.
             let start = start_of(plan, number, rules.ways);
             let mut mover = Mover::new(Some(plan), ground.avatar, rules.seed, number, start)?;
             let mut way = Vec::with_capacity(rules.frames);
+            let mut version = None;
+            let mut before: Option<DVec3> = None;
             for frame in 0..rules.frames {
                 let pose = mover.step(if frame == 0 { 0.0 } else { rules.period.as_secs_f64() });
-                let occlusion = ground.all_round.cull(EyeRegion::point(pose.eye - ground.anchor), &mut scratch)?;
-                way.push(Seen { pose, exposed: columns.exposed(occlusion) });
+                let gone = before.replace(pose.eye).map_or(DVec3::ZERO, |before| pose.eye - before);
+                let eye = EyeRegion::point(pose.eye - ground.anchor);
+                let occlusion = ground.all_round.look_around(eye, (rules.hold, gone), &mut scratch)?;
+                if version.replace(occlusion.version()) != Some(occlusion.version()) {
+                    culls.push(columns.exposed(occlusion));
+                }
+                way.push(Seen { pose, cull: culls.len() - 1 });
             }
             ways.push(way);
         }
-        Ok(Ways { columns, anchor: ground.anchor, period: rules.period, ways })
+        Ok(Ways { columns, anchor: ground.anchor, period: rules.period, ways, culls })
     }
 
     /// Bytes of the record.
     pub fn bytes(&self) -> usize {
-        self.ways
-            .iter()
-            .flatten()
-            .map(|seen| size_of::<Seen>() + 8 * (seen.exposed.bits.len() + seen.exposed.bands.len()))
-            .sum()
+        let frames: usize = self.ways.iter().map(Vec::len).sum();
+        let of = |exposed: &Exposed| size_of::<Exposed>() + 8 * (exposed.bits.len() + exposed.bands.len());
+        frames * size_of::<Seen>() + self.culls.iter().map(of).sum::<usize>()
     }
 }
 
@@ -327,16 +337,29 @@ impl Replayer {
     fn seen(&self) -> &Seen {
         &self.ways.ways[self.way][self.frame]
     }
+
+    fn exposed(&self) -> &Exposed {
+        &self.ways.culls[self.seen().cull]
+    }
 }
 
 impl Occlusion for Replayer {
     fn hides(&self, bound: &Bound) -> bool {
-        self.ways.columns.hides(&self.seen().exposed, bound)
+        self.ways.columns.hides(self.exposed(), bound)
+    }
+
+    fn version(&self) -> Option<u64> {
+        Some(self.seen().cull as u64)
+    }
+
+    /// Who walked.
+    fn stays(&self) -> bool {
+        false
     }
 
     fn open(&self) -> Option<Open> {
         let columns = &self.ways.columns;
-        Some(Open { open: columns.open(&self.seen().exposed), within: columns.bounds })
+        Some(Open { open: columns.open(self.exposed()), within: columns.bounds })
     }
 }
 
@@ -390,7 +413,8 @@ mod tests {
     use crate::stage::Stage;
     use rand::RngExt;
 
-    const RULES: WayRules = WayRules { ways: 3, frames: 20, period: Duration::from_millis(200), side: 64, seed: 7 };
+    const RULES: WayRules =
+        WayRules { ways: 3, frames: 20, period: Duration::from_millis(200), side: 64, hold: 0.0, seed: 7 };
 
     fn ways() -> (Stage, Ways) {
         let stage = Stage::made(&RoomsRules { columns: 3, rows: 2, ..RoomsRules::default() }).unwrap();
@@ -415,7 +439,7 @@ mod tests {
                 let (radius, half_height) = (along(0.1, 3.0), along(0.8, 3.0));
                 let bound = Bound::Upright { centre, radius, half_height };
                 asked += 1;
-                if !ways.columns.hides(&seen.exposed, &bound) {
+                if !ways.columns.hides(&ways.culls[seen.cull], &bound) {
                     continue;
                 }
                 hidden += 1;

@@ -14,11 +14,12 @@ use clap::Args;
 use eyeline_server::app::number;
 use eyeline_server::world::Answers;
 use eyeline_sim::load::echo::Traffic;
-use eyeline_sim::load::process::load_average;
+use eyeline_sim::load::process::{self, load_average};
 use eyeline_sim::report::{Report, Run, rfc3339, table};
 use eyeline_sim::scene::plan::RoomsRules;
 use eyeline_sim::scene::rooms;
 
+use super::swarm::{CullerChoice, HOLD};
 use children::{Child, Measured, Swarming};
 use row::{EchoRow, LoadRow, SoakRow};
 
@@ -37,6 +38,14 @@ pub struct Load {
     /// Pixels a side of the images of those who cull
     #[arg(long, value_name = "PIXELS", default_value_t = 64, value_parser = clap::value_parser!(u32).range(8..=1024))]
     side: u32,
+
+    /// How those who cull find out what is hidden: through doors, which is auto too, or by images
+    #[arg(long, value_name = "HOW", default_value = "auto")]
+    culler: CullerChoice,
+
+    /// Half of the walk that one look through doors does for, metres: see `swarm --help`
+    #[arg(long, value_name = "METRES", default_value_t = HOLD, value_parser = number(0.0..=100.0, "m"))]
+    hold: f64,
 
     /// How long to measure, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = number(2.0..=1e6, "s"))]
@@ -140,15 +149,18 @@ pub fn run(options: &Load) -> anyhow::Result<()> {
 }
 
 fn notes(options: &Load) -> Vec<String> {
+    let how = match options.culler {
+        CullerChoice::Image => format!("images of {} pixels", options.side),
+        CullerChoice::Auto | CullerChoice::Doors => format!("through doors, for eyes within {} m", options.hold),
+    };
     let average = load_average().map_or("unknown".to_owned(), |average| format!("{average:.2}"));
     vec![
         format!(
-            "server on core {}, swarm on core {}; {} of the clients cull (images of {} pixels), the others replay recorded \
+            "server on core {}, swarm on core {}; {} of the clients cull ({how}), the others replay recorded \
              eyes and exposures through trackers of their own",
-            options.cores.0, options.cores.1, options.culling, options.side
+            options.cores.0, options.cores.1, options.culling
         ),
-        "those who cull share a socket, and so do those who replay: the server sees one address; each has a connection of its own"
-            .into(),
+        "all but the first share a socket: the server sees two addresses; each has a connection of its own".into(),
         format!("load average of the last minute before the first run: {average}"),
     ]
 }
@@ -160,19 +172,17 @@ fn make_world(options: &Load) -> anyhow::Result<PathBuf> {
     Ok(path)
 }
 
-/// Runs of one kind: so many that are not void, if they are to be had.
+/// Runs of one kind: so many that are not void, if they are to be had. Void ones are made again, as many as are wanted at most.
 #[derive(Default)]
 struct Runs {
     wanted: u32,
-    /// Whether void ones are made again, as many as are wanted at most.
-    again: bool,
     made: u32,
     valid: u32,
 }
 
 impl Runs {
     fn go_on(&self) -> bool {
-        self.made < self.wanted || self.again && self.are_void() && self.made < 2 * self.wanted
+        self.are_void() && self.made < 2 * self.wanted
     }
 
     fn count(&mut self, is_void: bool) {
@@ -186,7 +196,7 @@ impl Runs {
 
     fn number(&self) -> String {
         let void = self.made - self.valid;
-        let again = if self.again && void > 0 { format!(" ({void} void so far)") } else { String::new() };
+        let again = if void > 0 { format!(" ({void} void so far)") } else { String::new() };
         format!("{} of {}{again}", self.valid + 1, self.wanted)
     }
 
@@ -210,7 +220,7 @@ fn load(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)
     let (mut clients, mut void, mut said) = (options.clients, false, String::new());
     loop {
         let mut rows = Vec::new();
-        let mut runs = Runs { wanted: options.repeats, again: !options.find_limit, ..Runs::default() };
+        let mut runs = Runs { wanted: options.repeats, ..Runs::default() };
         while runs.go_on() {
             super::print(&format!("{clients} clients, run {}\n", runs.number()));
             match measure(options, world, clients, options.seconds) {
@@ -260,13 +270,14 @@ fn measure(options: &Load, world: &Path, clients: u32, seconds: f64) -> anyhow::
     let mut swarm = Swarming::start(options, world, &server, clients, seconds, 0.0)?;
     swarm.wait_until_all_are_in()?;
     server.reset()?;
-    let (began, before) = (Instant::now(), server.usage()?);
+    let (began, before, stolen) = (Instant::now(), server.usage()?, process::stolen());
     // The end of the run is the swarm's leaving, which is another work.
     std::thread::sleep(Duration::from_secs_f64((seconds - 0.5).max(0.5)));
     let (passed, after, told) = (began.elapsed(), server.usage()?, server.report()?);
+    let stolen = stolen.zip(process::stolen()).map(|(before, after)| after.saturating_sub(before));
     let seen = swarm.end()?;
     server.end()?;
-    Ok(Measured { empty, before, after, passed, told, seen })
+    Ok(Measured { empty, before, after, passed, stolen, told, seen })
 }
 
 /// World, echo, world, echo.
@@ -274,7 +285,7 @@ fn echo(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)
     let mut report = Report::new(run, EchoRow::columns());
     let repeats = if options.repeats == 3 { 5 } else { options.repeats };
     let mut rows = Vec::new();
-    let mut runs = Runs { wanted: repeats, again: true, ..Runs::default() };
+    let mut runs = Runs { wanted: repeats, ..Runs::default() };
     // To make the world, to let all in and to leave.
     let pair_s = 2.0 * (options.settle + options.seconds) + 10.0;
     while runs.go_on() {
@@ -400,7 +411,7 @@ mod tests {
 
     #[test]
     fn a_void_run_is_made_again_and_counts_for_nothing() {
-        let mut runs = Runs { wanted: 2, again: true, ..Runs::default() };
+        let mut runs = Runs { wanted: 2, ..Runs::default() };
         let values = [(true, 9.0), (false, 1.0), (true, 8.0), (true, 7.0)];
         for (number, (is_void, _)) in values.iter().enumerate() {
             assert!(runs.go_on(), "{number}");
@@ -408,9 +419,9 @@ mod tests {
         }
         assert!(!runs.go_on() && runs.are_void(), "twice as many are enough");
         assert_eq!((runs.median(values.into_iter()), runs.of_what().as_str()), (1.0, "median of 1, 3 more were void"));
-        let mut runs = Runs { wanted: 2, again: false, ..Runs::default() };
+        let mut runs = Runs { wanted: 1, ..Runs::default() };
         (0..2).for_each(|_| runs.count(true));
-        assert!(!runs.go_on(), "to look for a limit each count of people has its chance once");
+        assert!(!runs.go_on());
         assert_eq!(runs.median([(true, 3.0), (true, 5.0)].into_iter()), 5.0);
     }
 

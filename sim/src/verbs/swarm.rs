@@ -9,9 +9,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use eyeline_client::app::{Target, WorldOptions, number};
-use eyeline_client::net::{Connection, Driver, Endpoint, FrameReport, LocalClock, run_headless};
+use eyeline_client::net::{Driver, Endpoint, FrameReport, LocalClock, run_headless};
 use eyeline_client::session::{IndexMaker, Session, SessionConfig, SessionStats};
 use eyeline_client::tracking::{Sabotage, TrackerConfig};
 use eyeline_protocol::Welcome;
@@ -66,6 +66,18 @@ pub struct Swarm {
     #[arg(long, value_name = "PIXELS", default_value_t = 128, value_parser = clap::value_parser!(u32).range(8..=1024))]
     side: u32,
 
+    /// How those who cull find out what is hidden: by six images that hold all that hides, or through the doors between cells that
+    /// are cut at walls, which costs a fraction but where there are rooms alone tells as much. auto asks doors where
+    /// NAME.rooms.json is beside the world
+    #[arg(long, value_name = "HOW", default_value = "auto")]
+    culler: CullerChoice,
+
+    /// Half of the walk that one look through doors does for, metres: it is for all eyes in a ball with this radius. A larger one
+    /// looks less often and hides less; what reaches farther than people keep off walls shows what is behind them. 0 looks anew
+    /// for each frame
+    #[arg(long, value_name = "METRES", default_value_t = HOLD, value_parser = number(0.0..=100.0, "m"))]
+    hold: f64,
+
     /// Frames a second of each client, Hz
     #[arg(long, value_name = "HZ", default_value_t = 20.0, value_parser = number(0.1..=240.0, "Hz"))]
     frame_hz: f64,
@@ -91,6 +103,31 @@ pub struct Swarm {
     #[arg(long, value_name = "HOW")]
     sabotage: Option<Sabotage>,
 }
+
+/// How people cull.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CullerChoice {
+    /// Through doors where there are rooms.
+    Auto,
+    /// Through doors.
+    Doors,
+    /// By images.
+    Image,
+}
+
+impl CullerChoice {
+    /// What is said for it.
+    pub fn name(self) -> &'static str {
+        match self {
+            CullerChoice::Auto => "auto",
+            CullerChoice::Doors => "doors",
+            CullerChoice::Image => "image",
+        }
+    }
+}
+
+/// Where walkers go it does for about three frames, at 20 a second, and they are told of hardly more.
+pub const HOLD: f64 = 0.1;
 
 pub const EXAMPLES: &str = "Examples:
   eyeline-sim swarm --server-file out/ready.txt --world out/rooms.glb
@@ -215,7 +252,16 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
     let scene = first.scene(&options.world.source()).await?;
     let welcome = first.session.welcome().context("no welcome")?.clone();
     let bounds = scene.bounds();
-    let all_round = tokio::task::spawn_blocking(move || AllRound::new(&scene)).await?;
+    let asks_doors = match options.culler {
+        CullerChoice::Auto => plan.is_some(),
+        CullerChoice::Doors => true,
+        CullerChoice::Image => false,
+    };
+    let all_round = tokio::task::spawn_blocking(move || match asks_doors {
+        true => AllRound::among_rooms(&scene),
+        false => AllRound::new(&scene),
+    });
+    let all_round = all_round.await?;
     let ground = ground(&welcome, plan, all_round);
     let how = if ground.plan.is_some() { "walk from room to room" } else { "stand and look around" };
     super::print(&format!(
@@ -241,25 +287,30 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
             })
         }
     };
-    // Who culls has a connection like any client's, and so has the first, who has one already. Each plays from the moment
-    // when it is in: who waited for the last would not read what it is told of those who join.
-    let mut play = |number: usize, mut connection: Connection| {
-        let phase = begin + period.mul_f64(phase_of(number));
-        let mut stopped = stopped.clone();
-        let (ground, seed, side) = (ground.clone(), options.seed, options.side);
-        let mut player: Box<dyn Driver> = match &ways {
+    let Swarm { seed, side, hold, .. } = *options;
+    // The first plays through a shell like any client's, and from the moment when it is in: who waited for the last would not
+    // read what it is told of those who join.
+    let player = move |number: usize, turn: usize| -> Box<dyn Driver> {
+        match &ways {
             Some(ways) if number >= culling => {
-                Box::new(Replayer::new(ways.clone(), number - culling, replaying, Some(hook(number))))
+                let walker = number - culling + 37 * turn;
+                Box::new(Replayer::new(ways.clone(), walker, replaying, Some(hook(number))))
             }
-            _ => Box::new(Person::on(&ground, seed, number, side, Some(hook(number)))),
-        };
+            _ => Box::new(Person::on(&ground, seed, number, side, Some(hook(number))).with_hold(hold)),
+        }
+    };
+    {
+        let mut connection = first;
+        let phase = begin + period.mul_f64(phase_of(0));
+        let mut stopped = stopped.clone();
+        let mut player = player(0, 0);
         clients.spawn_local(async move {
             let passed = clock.now().since(phase).as_secs_f64() / period.as_secs_f64();
             let due = phase + period.mul_f64(passed.ceil());
             // The sender outlives every client.
             let end = async { drop(stopped.wait_for(|&stop| stop).await) };
             let ran = run_headless(&mut connection, player.as_mut(), period, due, end).await;
-            ran.with_context(|| format!("client {number}"))?;
+            ran.context("client 0")?;
             let outcome = Outcome {
                 round_trip: connection.session.round_trip().map(|(smoothed, _)| smoothed),
                 counts: connection.session.tracker().map_or((0, 0, 0), |tracker| tracker.counts()),
@@ -267,31 +318,25 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
             connection.close().await;
             Ok(vec![outcome])
         });
-    };
-    play(0, first);
-    for number in 1..culling {
-        tokio::select! {
-            connection = endpoint.connect(address, session(number, octree(bounds)), clock) => {
-                play(number, connection.with_context(|| format!("client {number}"))?);
-            }
-            () = &mut shutdown => anyhow::bail!("ended before all clients were in"),
-        }
     }
-    let alone = culling.max(1);
-    if let Some(ways) = ways.clone().filter(|_| options.clients as usize > alone) {
+    if options.clients > 1 {
         let rules = ThrongRules {
             address,
             trust,
-            first: alone,
+            first: 1,
             end: options.clients as usize,
             period,
             begin,
             churn: options.churn,
-            seed: options.seed,
+            steady: culling,
+            seed,
         };
-        let recruiter = move |number: usize, turn: usize| Recruit {
-            session: session(number, Box::new(|| Box::new(FlatIndex::default()))),
-            player: Box::new(Replayer::new(ways.clone(), number - culling + 37 * turn, replaying, Some(hook(number)))),
+        let recruiter = move |number: usize, turn: usize| {
+            let index: IndexMaker = match number >= culling {
+                true => Box::new(|| Box::new(FlatIndex::default())),
+                false => octree(bounds),
+            };
+            Recruit { session: session(number, index), player: player(number, turn) }
         };
         let mut throng = Throng::new(rules, clock, Box::new(recruiter))?;
         let (tell, mut told) = tokio::sync::oneshot::channel::<()>();
@@ -375,7 +420,8 @@ async fn all(options: &Swarm, plan: Option<Arc<RoomPlan>>) -> anyhow::Result<()>
 /// Records the ways of those who do not cull. Takes a while, in which the first client must be heard of.
 async fn record(ground: &Ground, bounds: Aabb, options: &Swarm, period: Duration) -> anyhow::Result<Ways> {
     let ways = WAYS.min(options.clients as usize);
-    let rules = WayRules { ways, frames: WAY_FRAMES, period, side: options.side, seed: options.seed };
+    let Swarm { side, hold, seed, .. } = *options;
+    let rules = WayRules { ways, frames: WAY_FRAMES, period, side, hold, seed };
     let (ground, began) = (ground.clone(), Instant::now());
     let ways = tokio::task::spawn_blocking(move || Ways::record(&ground, bounds, &rules)).await??;
     super::print(&format!(

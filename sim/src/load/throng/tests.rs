@@ -18,7 +18,7 @@ const PERIOD: Duration = Duration::from_millis(50);
 /// them.
 fn played(churn: f64, how_long: Duration) -> (WorldStats, usize, Vec<Outcome>) {
     let stage = Stage::made(&RoomsRules { columns: 3, rows: 2, ..RoomsRules::default() }).unwrap();
-    let rules = WayRules { ways: 3, frames: 20, period: PERIOD, side: 32, seed: 7 };
+    let rules = WayRules { ways: 3, frames: 20, period: PERIOD, side: 32, hold: 0.25, seed: 7 };
     let ways = Arc::new(Ways::record(&stage.ground(), stage.model.scene.bounds(), &rules).unwrap());
     let folder = tempfile::tempdir().unwrap();
     let identity = Identity::load_or_create(folder.path()).unwrap();
@@ -35,7 +35,7 @@ fn played(churn: f64, how_long: Duration) -> (WorldStats, usize, Vec<Outcome>) {
         let server = tokio::task::spawn_local(server.run(async move { drop(stopped.await) }));
         let clock = LocalClock::default();
         let (trust, begin) = (fingerprint.into(), clock.now());
-        let rules = ThrongRules { address, trust, first: 2, end: 8, period: PERIOD, begin, churn, seed: 7 };
+        let rules = ThrongRules { address, trust, first: 2, end: 8, period: PERIOD, begin, churn, steady: 2, seed: 7 };
         let recruiter = move |number: usize, turn: usize| Recruit {
             session: Session::new(SessionConfig::default(), Box::new(|| Box::new(FlatIndex::default()))),
             player: Box::new(Replayer::new(ways.clone(), number + turn, 6, None)),

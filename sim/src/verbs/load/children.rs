@@ -91,6 +91,8 @@ pub struct Measured {
     pub before: Usage,
     pub after: Usage,
     pub passed: Duration,
+    /// Processor time that the machine's host gave to others meanwhile, all cores together; `None` where the system does not tell.
+    pub stolen: Option<Duration>,
     pub told: Told,
     pub seen: Seen,
 }
@@ -257,6 +259,8 @@ impl Swarming {
             ("--clients", clients.to_string()),
             ("--culling", options.culling.to_string()),
             ("--side", options.side.to_string()),
+            ("--culler", options.culler.name().to_owned()),
+            ("--hold", options.hold.to_string()),
             ("--seconds", seconds.to_string()),
             ("--settle", options.settle.to_string()),
             ("--seed", options.seed.to_string()),

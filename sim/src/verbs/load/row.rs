@@ -29,12 +29,13 @@ pub struct LoadRow {
     pub swarm_late_p99_ms: f64,
     pub visible_mean: f64,
     pub rtt_ms: f64,
+    pub stolen_percent: Option<f64>,
     pub void: bool,
 }
 
 impl LoadRow {
     pub fn of(clients: u32, measured: &Measured) -> LoadRow {
-        let Measured { empty, after, told, seen, .. } = measured;
+        let Measured { empty, after, passed, stolen, told, seen, .. } = measured;
         let kb = |bytes: u64| bytes as f64 / 1024.0;
         let traffic = measured.traffic(clients);
         LoadRow {
@@ -56,6 +57,7 @@ impl LoadRow {
             swarm_late_p99_ms: seen.late_p99_ms,
             visible_mean: seen.visible_mean,
             rtt_ms: seen.rtt_ms,
+            stolen_percent: stolen.map(|stolen| 100.0 * stolen.as_secs_f64() / passed.as_secs_f64()),
             void: seen.is_void(),
         }
     }
@@ -88,6 +90,11 @@ impl LoadRow {
             Column::new("swarm_late_p99_ms", "ms", "how late the swarm's frames began; one of a hundred was later"),
             Column::new("visible_mean", "", "objects in V at the end, mean"),
             Column::new("rtt_ms", "ms", "round trip as clients saw it, mean"),
+            Column::new(
+                "stolen_percent",
+                "%",
+                "of one core, taken from this machine by its host meanwhile: why a swarm may be late",
+            ),
             Column::new("void", "", "whether the swarm was too late for the row to mean anything"),
         ]
     }
