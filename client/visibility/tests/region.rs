@@ -178,7 +178,7 @@ fn who_walks_sees_nothing_that_was_hidden_before_the_walk() {
     for (corners, sides, turn) in [(Corners::Abut, Sides::Both, 0.0), (Corners::Overlap, Sides::Front, 0.0)] {
         let scene = rooms(4, corners, sides, turn, &mut rng);
         let (rays, all_round) = (Rays::new(&scene), AllRound::among_rooms(&scene));
-        let (mut hidden, mut steps, mut beyond) = (0, 0, 0);
+        let (mut asked, mut hidden, mut steps, mut beyond) = (0, 0, 0, 0);
         for round in 0..60 {
             let mut scratch = all_round.scratch(32);
             let (reach, towards) = (rng.random_range(0.0..0.3), direction(&mut rng).with_y(0.0));
@@ -191,11 +191,12 @@ fn who_walks_sees_nothing_that_was_hidden_before_the_walk() {
                 all_round.look_around(EyeRegion::point(eye), (reach, towards), scratch).unwrap().version()
             };
             let version = look(eye, &mut scratch);
-            assert!(
-                scratch.stats().looks > 0 && scratch.stats().polygons == 0,
-                "no image is drawn: {:?}",
-                scratch.stats()
-            );
+            if scratch.stats().looks == 0 {
+                // The ball is not in the building whole.
+                continue;
+            }
+            assert_eq!(scratch.stats().polygons, 0, "an image is drawn");
+            asked += 1;
             let bounds: Vec<Bound> = (0..40)
                 .map(|i| match i % 4 {
                     // Grown through floor and ceiling, and beyond all walls.
@@ -219,33 +220,41 @@ fn who_walks_sees_nothing_that_was_hidden_before_the_walk() {
                 }
             }
         }
-        println!("{corners:?}: {hidden} of 2400 hidden, {beyond} of them beyond all walls, {steps} steps of 480");
-        assert!(hidden > 800 && beyond > 50 && steps > 240, "{hidden}, {beyond}, {steps}: the test says little");
+        println!(
+            "{corners:?}: {asked} looks, {hidden} of 2400 hidden, {beyond} of them beyond all walls, {steps} steps of 480"
+        );
+        assert!(asked > 40 && hidden > 800 && beyond > 50 && steps > 160, "{asked}, {hidden}, {beyond}, {steps}");
     }
 }
 
 #[test]
-fn where_cells_are_no_rooms_doors_give_way_to_the_image() {
-    // Nothing but small things: any look goes through all cells.
+fn from_outside_all_rooms_an_image_is_drawn_and_inside_doors_are_asked_again() {
     let mut rng = Pcg64::seed_from_u64(13);
-    let scene = made::soup(3, 3000);
+    let scene = rooms(3, Corners::Abut, Sides::Both, 0.0, &mut rng);
     let (all_round, image) = (AllRound::among_rooms(&scene), AllRound::new(&scene));
     let (mut scratch, mut other) = (all_round.scratch(64), image.scratch(64));
-    let mut drawn = 0;
-    for _ in 0..80 {
-        let eye = EyeRegion::point(direction(&mut rng) * 0.2);
+    let mut hidden = 0;
+    for i in 0..70 {
+        let eye = EyeRegion::point(DVec3::new(-5.0 - 0.1 * f64::from(i), 1.6, 4.0));
         all_round.look_around(eye, (0.1, DVec3::X), &mut scratch).unwrap();
         image.cull(eye, &mut other).unwrap();
-        if scratch.stats().looks == 0 {
-            drawn += 1;
-            assert_eq!(scratch.stats(), other.stats());
-            for _ in 0..50 {
-                let bound = random_bound(eye.centre, 12.0, &mut rng);
-                assert_eq!(scratch.occlusion().hides(&bound), other.occlusion().hides(&bound), "{bound:?}");
-            }
+        assert_eq!(scratch.stats(), other.stats());
+        for _ in 0..50 {
+            let bound = random_bound(DVec3::new(7.0, 1.5, 7.0), 8.0, &mut rng);
+            assert_eq!(scratch.occlusion().hides(&bound), other.occlusion().hides(&bound), "{bound:?}");
+            hidden += u32::from(other.occlusion().hides(&bound));
         }
     }
-    assert!(drawn > 60, "doors answered {} of 80 times", 80 - drawn);
+    assert!(hidden > 100, "{hidden}: the test says little");
+    let looks = |i: u32, scratch: &mut _| {
+        let eye = EyeRegion::point(DVec3::new(2.5 + 0.001 * f64::from(i), 1.6, 2.5));
+        all_round.look_around(eye, (0.0, DVec3::ZERO), scratch).unwrap();
+    };
+    let asked = (0..65).any(|i| {
+        looks(i, &mut scratch);
+        scratch.stats().looks > 0
+    });
+    assert!(asked, "doors are never asked again");
 }
 
 fn wall(triangles: &mut Vec<Triangle>, x: [f32; 2], y: [f32; 2], z: f32) {
