@@ -4,10 +4,10 @@ use std::time::Instant;
 
 use anyhow::bail;
 use bytes::Bytes;
-use eyeline_client::net::{Driver, LocalClock};
+use eyeline_client::net::{Driver, LocalClock, NetError};
 use eyeline_client::session::{Event as SessionEvent, Session};
-use eyeline_protocol::LocalTime;
 use eyeline_protocol::codec::ControlReader;
+use eyeline_protocol::{LocalTime, Refusal};
 use quinn::udp::UdpSocketState;
 use quinn_proto::{Connection, ConnectionHandle, Dir, Event, SendDatagramError, StreamEvent, StreamId, VarInt};
 
@@ -120,6 +120,9 @@ impl Link {
             session.handle_control(&message);
         }
         match session.poll_fault() {
+            Some(SessionEvent::Refused { refusal: Refusal::ShuttingDown, reason }) => {
+                bail!("{}", NetError::Ended(reason))
+            }
             Some(SessionEvent::Refused { reason, .. }) => bail!("the server refused us: {reason}"),
             Some(fault) => bail!("{}", fault.describe()),
             None => Ok(()),
