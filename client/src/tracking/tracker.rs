@@ -140,7 +140,7 @@ pub struct Tracker {
     expired: Vec<ObjectId>,
     /// Latest possible server time at the newest frame.
     latest: WorldTime,
-    /// What the newest frame's occlusion says that it is, and whether it is that of the frame before.
+    /// What the newest frame's occlusion says that it is, and whether it is that of the frame before and is to stay so.
     version: Option<u64>,
     is_still: bool,
     /// Until when what is held hidden must be: that and the lead.

@@ -94,7 +94,6 @@ pub(crate) struct Portals {
     frame: u32,
     reached: Vec<CellId>,
     looks: usize,
-    looks_max: usize,
 }
 
 impl Default for HalfSpace {
@@ -163,7 +162,6 @@ impl Portals {
     ) {
         let cells = tessellation.cells();
         self.begin(cells, region, view);
-        self.looks_max = looks_max;
         if !cells.root().contains_box(&Aabb::around(self.centre, DVec3::splat(self.radius))) {
             return;
         }
@@ -190,7 +188,7 @@ impl Portals {
             let piece = &mut self.pieces[index as usize];
             piece.is_waiting = false;
             let piece = *piece;
-            if self.looks == self.looks_max {
+            if self.looks == looks_max {
                 return;
             }
             self.looks += 1;

@@ -6,8 +6,8 @@ mod under_support;
 use std::sync::Arc;
 
 use eyeline_visibility::{
-    Aabb, Bound, Cplp, Culler, EyeRegion, KdRules, KdTree, Occluders, Octree, OctreeRules, RayScene, RegionCuller,
-    Resolution, Scene, Scratch, Sides, Tessellation, View, exact_set,
+    Aabb, AllRound, Bound, Cplp, Culler, EyeRegion, KdRules, KdTree, Occluders, Occlusion, Octree, OctreeRules,
+    RayScene, RegionCuller, Resolution, Scene, Scratch, Sides, Tessellation, View, exact_set,
 };
 use glam::{DQuat, DVec3};
 use rand::{RngExt, SeedableRng};
@@ -196,6 +196,24 @@ fn a_door_shows_what_its_separating_planes_leave() {
     assert!(scratch.occlusion().hides(&Bound::Box(Aabb::around(DVec3::new(0.0, 1.0, 4.0), DVec3::splat(0.5)))));
     assert!(!scratch.occlusion().hides(&Bound::Box(Aabb::around(DVec3::new(0.0, 1.0, -2.0), DVec3::splat(50.0)))));
     assert!(!scratch.occlusion().hides(&Bound::Everywhere));
+}
+
+#[test]
+fn beyond_all_cells_nothing_is_hidden_that_an_opening_shows() {
+    let closed = two_rooms();
+    // Without the wall at the end of the farther room, of which nothing but its edges in other walls is left.
+    let is_left = |triangle: &&eyeline_visibility::Triangle| !triangle.corners.iter().all(|corner| corner.z < -6.0);
+    let open = Scene::from_triangles(closed.triangles().iter().filter(is_left).copied().collect());
+    let eye = EyeRegion { centre: DVec3::new(0.0, 1.6, 3.0), radius: 0.1 };
+    let beyond = Bound::Box(Aabb::around(DVec3::new(0.0, 1.5, -12.0), DVec3::splat(0.3)));
+    for (scene, is_closed) in [(closed, true), (open, false)] {
+        let all_round = AllRound::among_rooms(&scene);
+        let mut scratch = all_round.scratch(32);
+        let occlusion = all_round.look_around(eye, (0.0, DVec3::ZERO), &mut scratch).unwrap();
+        assert_eq!(occlusion.hides(&beyond), is_closed);
+        assert!(!occlusion.hides(&Bound::Everywhere));
+        assert!(scratch.stats().looks > 0, "doors are not asked");
+    }
 }
 
 #[test]
