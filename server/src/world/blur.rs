@@ -10,8 +10,9 @@
 //!
 //! A client that was told an exact place knows the ball around it, too ([`Known`]).
 
-use eyeline_protocol::{Issue, METRES_MAX, MotionBound, Position, QUANTUM_METRES, Tbv, WorldTime};
+use eyeline_protocol::{Issue, METRES_MAX, MotionBound, ObjectId, Position, QUANTUM_METRES, Tbv, WorldTime};
 use glam::DVec3;
+use rustc_hash::FxHashMap;
 
 use super::WorldConfig;
 
@@ -117,6 +118,63 @@ impl Known {
             },
         }
     }
+
+    /// Whether every later answer is the fresh bound, the object being at `place` now, so that this may be forgotten.
+    ///
+    /// A fresh bound has its object in it and a radius of `blur` or more, so it has a ball of `blur` in it that has the object in
+    /// it, too. Let d be how far the middle of that ball is from the place that was told, at most `blur` more than the object.
+    /// If d² + blur² ≤ ρ² then the ball of ρ has in it the disc that halves the other across the line of the middles, and so the
+    /// common part is as wide as [`Known::answer`] asks for. The object gets on by speed · time + slack at most, and ρ by
+    /// speed · time, so with room for the slack that stays so.
+    pub fn is_spent(&self, place: Position, issue: Issue, tick: WorldTime, motion: MotionBound, blur: f64) -> bool {
+        let growth = motion.speed_max * tick.seconds_since(self.at).max(0.0);
+        // More by a quantum than asked for: rounding may take away less.
+        let wide = blur + QUANTUM_METRES;
+        let apart = self.place.metres().distance(place.metres()) + motion.slack + wide;
+        // Written so that NaN is not spent.
+        self.issue != issue || blur <= 0.0 || apart.hypot(wide) <= growth
+    }
+}
+
+/// What one client can know of objects that it is told of no more, by object. Nothing may depend on their order.
+#[derive(Default)]
+pub(super) struct Places {
+    places: FxHashMap<ObjectId, Known>,
+    /// How many it takes to look for what is spent.
+    sweep_at: usize,
+}
+
+impl Places {
+    /// So few are not worth a look.
+    const SWEEP_LEAST: usize = 16;
+
+    pub fn insert(&mut self, object: ObjectId, known: Known) {
+        self.places.insert(object, known);
+    }
+
+    pub fn remove(&mut self, object: ObjectId) {
+        self.places.remove(&object);
+    }
+
+    pub fn get_mut(&mut self, object: ObjectId) -> Option<&mut Known> {
+        self.places.get_mut(&object)
+    }
+
+    /// Forgets what is spent, once there is half as much again as the last look left: so each place is looked at three times or so,
+    /// however many there are.
+    pub fn sweep(&mut self, is_spent: impl Fn(ObjectId, &Known) -> bool) {
+        if self.places.len() < self.sweep_at.max(Self::SWEEP_LEAST) {
+            return;
+        }
+        self.places.retain(|&object, known| !is_spent(object, known));
+        self.sweep_at = self.places.len() * 3 / 2;
+        self.places.shrink_to(self.sweep_at);
+    }
+
+    /// Bytes that they take, but for the few bounds that were told since.
+    pub fn memory_bytes(&self) -> usize {
+        self.places.capacity() * (size_of::<(ObjectId, Known)>() + 1)
+    }
 }
 
 /// Radius of the smallest ball around what balls of radii `a` and `b` have in common, their middles `distance` apart.
@@ -197,6 +255,11 @@ mod tests {
         rng: Pcg64,
         tick: WorldTime,
         heading: f64,
+        motion: MotionBound,
+        /// How probable a turn is at a step.
+        turns: f64,
+        /// Share of the top speed that it walks at.
+        share: f64,
         /// Every ball that the client may hold: middle, radius and time. Bounds of others count for it too.
         balls: Vec<(DVec3, f64, WorldTime)>,
         known: Option<Known>,
@@ -210,26 +273,29 @@ mod tests {
             let config = WorldConfig::default().with_grid_seed(seed);
             let tick = WorldTime::ZERO;
             let rng = Pcg64::seed_from_u64(seed);
-            Walk { object, config, rng, tick, heading: 0.0, balls: Vec::new(), known: None, told_at: WorldTime::MIN }
+            let (motion, turns, share) = (MOTION, 0.1, 1.0);
+            let (balls, told_at) = (Vec::new(), WorldTime::MIN);
+            Walk { object, config, rng, tick, heading: 0.0, motion, turns, share, balls, known: None, told_at }
         }
 
-        /// Goes on for a tick at top speed, turning now and then, or dithers about one place.
+        /// Goes on for a tick, turning now and then, or dithers about one place.
         fn step(&mut self, dithers: bool) {
             self.tick = self.tick + TICK;
-            if dithers || self.rng.random_bool(0.1) {
+            if dithers || self.rng.random_bool(self.turns) {
                 self.heading = self.rng.random_range(0.0..std::f64::consts::TAU);
             }
-            let step = DVec3::new(self.heading.cos(), 0.0, self.heading.sin()) * (SPEED * TICK.as_secs_f64() - 1e-3);
+            let step = DVec3::new(self.heading.cos(), 0.0, self.heading.sin())
+                * (self.share * SPEED * TICK.as_secs_f64() - 1e-3);
             self.object.position = Position::from_metres(self.object.position.metres() + step).unwrap();
         }
 
         fn fresh(&mut self) -> Tbv {
-            self.object.fresh_tbv(self.tick, MOTION, &self.config, DVec3::ZERO)
+            self.object.fresh_tbv(self.tick, self.motion, &self.config, DVec3::ZERO)
         }
 
         fn ask(&mut self) -> Tbv {
             let fresh = self.fresh();
-            let tbv = self.known.as_mut().map_or(fresh, |known| known.answer(fresh, MOTION, self.config.blur));
+            let tbv = self.known.as_mut().map_or(fresh, |known| known.answer(fresh, self.motion, self.config.blur));
             assert!(tbv.contains(self.object.position.metres(), self.tick), "{tbv:?}");
             self.balls.push((tbv.centre.metres(), tbv.radius, self.tick));
             tbv
@@ -238,7 +304,7 @@ mod tests {
         fn tell_place(&mut self) {
             self.known = Some(Known::new(self.object.position, self.tick, self.object.issue));
             // What an exact place says is less by the slack than what its ball would.
-            self.balls.push((self.object.position.metres(), MOTION.slack, self.tick));
+            self.balls.push((self.object.position.metres(), self.motion.slack, self.tick));
             self.told_at = self.tick;
         }
 
@@ -277,6 +343,26 @@ mod tests {
             }
         }
 
+        /// A place is forgotten only when it decides nothing any more.
+        #[test]
+        fn once_a_place_is_spent_each_bound_is_fresh(seed: u64, turns in 0.0..1.0f64, share in 0.5..1.0f64) {
+            let mut walk = Walk::new(seed, Some(SessionId(1)));
+            let motion = MotionBound { slack: 0.01, ..MOTION };
+            (walk.motion, walk.turns, walk.share) = (motion, turns.powi(4), share);
+            walk.tell_place();
+            let mut is_spent = false;
+            for tick in 0..400 {
+                walk.step(false);
+                let fresh = walk.fresh();
+                let (place, issue, blur) = (walk.object.position, walk.object.issue, walk.config.blur);
+                let known = walk.known.as_mut().unwrap();
+                is_spent |= known.is_spent(place, issue, walk.tick, motion, blur);
+                prop_assert!(!is_spent || known.answer(fresh, motion, blur) == fresh, "after {} ticks", tick);
+            }
+            // Who does not go straight on at top speed is caught up with.
+            prop_assert!(is_spent || share > 0.9, "never spent");
+        }
+
         /// What stands or follows a path is bounded by a ball that does not grow, which keeps its blur beside any place in it
         /// that was told, at all times to come.
         #[test]
@@ -312,6 +398,19 @@ mod tests {
             let found = common_reach(&[(DVec3::ZERO, a), (DVec3::X * distance, b)]);
             prop_assert!((said - found).abs() <= 5e-3 * a.max(b), "{said} {found}");
         }
+    }
+
+    #[test]
+    fn what_is_spent_is_forgotten_and_its_memory_given_back() {
+        let mut places = Places::default();
+        let known = |i: u32| Known::new(Position::default(), WorldTime::from_micros(i64::from(i)), Issue(0));
+        for i in 0..1000 {
+            places.insert(ObjectId(i), known(i));
+            // Of all that was told only the last ten count.
+            places.sweep(|_, known| known.at.micros() + 10 <= i64::from(i));
+            assert!((0..=i).rev().take(10).all(|last| places.get_mut(ObjectId(last)).is_some()));
+        }
+        assert!(places.places.len() < 32 && places.memory_bytes() < 64 * 48, "{} bytes", places.memory_bytes());
     }
 
     #[test]

@@ -32,6 +32,7 @@ use eyeline_protocol::{
 use glam::DVec3;
 
 use admission::{Announcements, Hello};
+use blur::Known;
 pub use census::Census;
 pub use config::{Answers, WorldConfig, WorldError};
 pub use limits::{LimitCounts, Limited, Limits, Rate};
@@ -505,7 +506,12 @@ impl World {
             if tells {
                 let reckoning = self.config.dead_reckoning_px;
                 let reckoning = reckoning.and_then(|px| Some((px, session.lens(id, &self.objects, &self.classes)?)));
-                session.mark_changes(&self.objects, self.tick, reckoning, &mut self.marked);
+                let (tick, blur, classes) = (self.tick, self.config.blur, &self.classes);
+                let is_spent = |object: &Object, known: &Known| {
+                    let motion = classes[usize::from(object.class.0)].motion;
+                    known.is_spent(object.position, object.issue, tick, motion, blur)
+                };
+                session.mark_changes(&self.objects, tick, reckoning, is_spent, &mut self.marked);
             }
             session.expire(LocalTime::from_micros(now.max(self.tick).micros()));
         }

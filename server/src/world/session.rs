@@ -15,7 +15,7 @@ use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::admission::RosterMark;
-use super::blur::Known;
+use super::blur::{Known, Places};
 use super::due::Due;
 use super::lens::Lens;
 use super::limits::{Meter, Size};
@@ -199,7 +199,7 @@ pub(super) struct Session {
     /// States that were held back at the last tick.
     held_back: FxHashSet<ObjectId>,
     /// What was told exactly, by object, of those of which no subscription knows it.
-    known: FxHashMap<ObjectId, Known>,
+    known: Places,
     states_due: Due,
     hidden_due: BTreeSet<ObjectId>,
 }
@@ -244,7 +244,7 @@ impl Session {
             is_to_mark: false,
             budget: None,
             held_back: FxHashSet::default(),
-            known: FxHashMap::default(),
+            known: Places::default(),
             states_due: Due::default(),
             hidden_due: BTreeSet::new(),
         }
@@ -286,7 +286,11 @@ impl Session {
     pub fn forget_all(&mut self) {
         self.drawn.clear();
         let subscriptions = std::mem::take(&mut self.subscriptions);
-        self.known.extend(subscriptions.into_iter().filter_map(|(object, before)| Some((object, before.told?))));
+        for (object, before) in subscriptions {
+            if let Some(told) = before.told {
+                self.known.insert(object, told);
+            }
+        }
         self.bounds_due.clear();
         self.states_due.clear();
         self.hidden_due.clear();
@@ -349,7 +353,7 @@ impl Session {
             + self.subscriptions.capacity() * (size_of::<(ObjectId, Subscription)>() + 1)
             + self.drawn.capacity() * (size_of::<(ObjectId, Drawn)>() + 1)
             + held * size_of::<Held>()
-            + self.known.capacity() * (size_of::<(ObjectId, Known)>() + 1)
+            + self.known.memory_bytes()
             + in_order * 3 / 2
             + self.states_due.memory_bytes()
             + self.held_back.capacity() * (size_of::<ObjectId>() + 1)
@@ -499,7 +503,7 @@ impl Session {
     pub fn forget(&mut self, object: ObjectId) {
         self.subscriptions.remove(&object);
         self.drawn.remove(&object);
-        self.known.remove(&object);
+        self.known.remove(object);
         self.states_due.remove(object);
         self.hidden_due.remove(&object);
         self.bounds_due.remove(&object);
@@ -511,12 +515,13 @@ impl Session {
     }
 
     /// Makes due what has changed since it was sent last, or, by dead reckoning, what is drawn wrong by more than `pixels`.
-    /// They are gathered in the memory of `due`.
+    /// They are gathered in the memory of `due`. Forgets places of which `is_spent` says that they decide nothing any more.
     pub fn mark_changes(
         &mut self,
         objects: &[Object],
         tick: WorldTime,
         reckoning: Option<(f64, Lens<'_>)>,
+        is_spent: impl Fn(&Object, &Known) -> bool,
         due: &mut Vec<ObjectId>,
     ) {
         let Session { subscriptions, drawn, known, states_due, link, .. } = self;
@@ -528,7 +533,9 @@ impl Session {
                 let stays = subscription.asked_seq == 0 || !link.is_past(subscription.asked_seq - 1);
                 if !stays {
                     drawn.remove(&id);
-                    known.extend(subscription.told.take().map(|told| (id, told)));
+                    if let Some(told) = subscription.told.take() {
+                        known.insert(id, told);
+                    }
                 }
                 return stays;
             }
@@ -548,6 +555,11 @@ impl Session {
             true
         });
         states_due.insert_all(due.iter().copied());
+        // Who comes asks about everything at once, and never again.
+        if subscriptions.len() < subscriptions.capacity() / 4 {
+            subscriptions.shrink_to(2 * subscriptions.len());
+        }
+        known.sweep(|id, known| is_spent(&objects[id.index()], known));
     }
 
     /// Lets another `elapsed` seconds' bytes go out, and counts what had to wait for them.
@@ -688,7 +700,11 @@ impl Session {
             if let Some(subscription) = self.subscriptions.get_mut(&id) {
                 is_told_on = subscription.active;
                 // To say so again would be to look for two more bits in memory.
-                if subscription.told.replace(told).is_none_or(|before| before.issue != object.issue) {
+                let before = subscription.told.replace(told);
+                if before.is_none() {
+                    self.known.remove(id);
+                }
+                if before.is_none_or(|before| before.issue != object.issue) {
                     object.note_holder(slot);
                 }
                 subscription.is_sent = true;
@@ -710,7 +726,7 @@ impl Session {
             let object = &mut objects[id.index()];
             let known = match self.subscriptions.get_mut(&id) {
                 Some(Subscription { told: Some(told), .. }) => Some(told),
-                _ => self.known.get_mut(&id),
+                _ => self.known.get_mut(id),
             };
             let tbv = if object.present && object.alive { bound(object, known) } else { None };
             let Some(tbv) = tbv else {
