@@ -14,7 +14,7 @@ use eyeline_protocol::{Issue, METRES_MAX, MotionBound, ObjectId, Position, QUANT
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
-use super::WorldConfig;
+use super::{Object, WorldConfig};
 
 /// Pitch of the grid in units of `blur`: a square cell of √2 has an enclosing circle of radius 1.
 const PITCH: f64 = std::f64::consts::SQRT_2;
@@ -67,24 +67,24 @@ impl Issued {
     }
 }
 
-/// What one client can know of an object that it was told the place of.
+/// What one client can know of an object that it was told the place of: the exact place that was told last, and when it was there.
+///
+/// Packed, since there is one for each object that each client sees, and memory is waited for wherever they are looked at.
+#[derive(Clone, Copy)]
+#[repr(Rust, packed)]
 pub(super) struct Known {
-    /// The exact place that was told last, and when it was there.
     pub place: Position,
     pub at: WorldTime,
     pub issue: Issue,
-    /// The bound that was told last since then.
-    /// Most have none, and a client may know a place of every object.
-    bound: Option<Box<Tbv>>,
 }
 
 impl Known {
     pub fn new(place: Position, at: WorldTime, issue: Issue) -> Known {
-        Known { place, at, issue, bound: None }
+        Known { place, at, issue }
     }
 
     /// The bound to tell this client instead of `fresh`, which [`Issued::nested`] has made: `fresh` itself, or what it
-    /// has already as that has grown.
+    /// knows already, the ball of ρ.
     ///
     /// Kept: what the client can know has an enclosing radius of at least min(`blur`, ρ), where ρ = speed·age is what the
     /// object may have moved since its place was told. All bounds from before that moment that grow contain the ball of ρ around
@@ -96,43 +96,37 @@ impl Known {
     /// A bound that does not grow must have room for what is promised later. Let d be the distance of the two middles. If
     /// ρ is at least `blur` then a larger ρ only adds to the common part. If it is less, then for ρ = `blur` the common
     /// part is large enough only if d² + blur² is at most the bound's radius squared, and then for any smaller ρ, too.
-    pub fn answer(&mut self, fresh: Tbv, motion: MotionBound, blur: f64) -> Tbv {
-        if self.issue != fresh.issue || blur <= 0.0 {
+    pub fn answer(&self, fresh: Tbv, motion: MotionBound, blur: f64) -> Tbv {
+        let Known { place, at, issue } = *self;
+        if issue != fresh.issue || blur <= 0.0 {
             return fresh;
         }
         let tick = fresh.issued;
-        let growth = motion.speed_max * tick.seconds_since(self.at).max(0.0);
+        let growth = motion.speed_max * tick.seconds_since(at).max(0.0);
         let judged = if fresh.speed > 0.0 { growth } else { growth.max(blur) };
-        let distance = self.place.metres().distance(fresh.centre.metres());
+        let distance = place.metres().distance(fresh.centre.metres());
         if common_radius(distance, judged, fresh.radius) >= judged.min(blur) {
-            self.bound = Some(Box::new(fresh));
             return fresh;
         }
-        match &self.bound {
-            Some(bound) => grown(bound, tick),
-            None => Tbv {
-                centre: self.place,
-                radius: (motion.slack + growth) * (1.0 + 1e-12),
-                speed: motion.speed_max,
-                ..fresh
-            },
-        }
+        let radius = (motion.slack + growth) * (1.0 + 1e-12);
+        Tbv { centre: place, radius, speed: motion.speed_max, ..fresh }
     }
 
-    /// Whether every later answer is the fresh bound, the object being at `place` now, so that this may be forgotten.
+    /// Whether every later answer is the fresh bound, so that this may be forgotten.
     ///
     /// A fresh bound has its object in it and a radius of `blur` or more, so it has a ball of `blur` in it that has the object in
     /// it, too. Let d be how far the middle of that ball is from the place that was told, at most `blur` more than the object.
     /// If d² + blur² ≤ ρ² then the ball of ρ has in it the disc that halves the other across the line of the middles, and so the
     /// common part is as wide as [`Known::answer`] asks for. The object gets on by speed · time + slack at most, and ρ by
     /// speed · time, so with room for the slack that stays so.
-    pub fn is_spent(&self, place: Position, issue: Issue, tick: WorldTime, motion: MotionBound, blur: f64) -> bool {
-        let growth = motion.speed_max * tick.seconds_since(self.at).max(0.0);
+    pub fn is_spent(&self, object: &Object, tick: WorldTime, motion: MotionBound, blur: f64) -> bool {
+        let Known { place, at, issue } = *self;
+        let growth = motion.speed_max * tick.seconds_since(at).max(0.0);
         // More by a quantum than asked for: rounding may take away less.
         let wide = blur + QUANTUM_METRES;
-        let apart = self.place.metres().distance(place.metres()) + motion.slack + wide;
+        let apart = place.metres().distance(object.position.metres()) + motion.slack + wide;
         // Written so that NaN is not spent.
-        self.issue != issue || blur <= 0.0 || apart.hypot(wide) <= growth
+        issue != object.issue || blur <= 0.0 || apart.hypot(wide) <= growth
     }
 }
 
@@ -156,8 +150,8 @@ impl Places {
         self.places.remove(&object);
     }
 
-    pub fn get_mut(&mut self, object: ObjectId) -> Option<&mut Known> {
-        self.places.get_mut(&object)
+    pub fn get(&self, object: ObjectId) -> Option<&Known> {
+        self.places.get(&object)
     }
 
     /// Forgets what is spent, once there is half as much again as the last look left: so each place is looked at three times or so,
@@ -171,7 +165,7 @@ impl Places {
         self.places.shrink_to(self.sweep_at);
     }
 
-    /// Bytes that they take, but for the few bounds that were told since.
+    /// Bytes that they take.
     pub fn memory_bytes(&self) -> usize {
         self.places.capacity() * (size_of::<(ObjectId, Known)>() + 1)
     }
@@ -214,7 +208,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64;
 
-    use super::super::{Object, SessionId};
+    use super::super::SessionId;
     use super::*;
 
     const SPEED: f64 = 2.0;
@@ -295,7 +289,7 @@ mod tests {
 
         fn ask(&mut self) -> Tbv {
             let fresh = self.fresh();
-            let tbv = self.known.as_mut().map_or(fresh, |known| known.answer(fresh, self.motion, self.config.blur));
+            let tbv = self.known.map_or(fresh, |known| known.answer(fresh, self.motion, self.config.blur));
             assert!(tbv.contains(self.object.position.metres(), self.tick), "{tbv:?}");
             self.balls.push((tbv.centre.metres(), tbv.radius, self.tick));
             tbv
@@ -354,9 +348,8 @@ mod tests {
             for tick in 0..400 {
                 walk.step(false);
                 let fresh = walk.fresh();
-                let (place, issue, blur) = (walk.object.position, walk.object.issue, walk.config.blur);
-                let known = walk.known.as_mut().unwrap();
-                is_spent |= known.is_spent(place, issue, walk.tick, motion, blur);
+                let (known, blur) = (walk.known.unwrap(), walk.config.blur);
+                is_spent |= known.is_spent(&walk.object, walk.tick, motion, blur);
                 prop_assert!(!is_spent || known.answer(fresh, motion, blur) == fresh, "after {} ticks", tick);
             }
             // Who does not go straight on at top speed is caught up with.
@@ -368,7 +361,7 @@ mod tests {
         #[test]
         fn a_bound_that_does_not_grow_keeps_its_blur(radius in 1.0..4.0f64, share in 0.0..1.0f64, asked in 1..40i64) {
             let place = Position::from_metres(DVec3::X * (radius * share)).unwrap();
-            let mut known = Known::new(place, WorldTime::ZERO, Issue(0));
+            let known = Known::new(place, WorldTime::ZERO, Issue(0));
             let at = |ticks: i64| WorldTime::from_micros(ticks * 50_000);
             let fresh = Tbv {
                 centre: Position::default(),
@@ -408,7 +401,7 @@ mod tests {
             places.insert(ObjectId(i), known(i));
             // Of all that was told only the last ten count.
             places.sweep(|_, known| known.at.micros() + 10 <= i64::from(i));
-            assert!((0..=i).rev().take(10).all(|last| places.get_mut(ObjectId(last)).is_some()));
+            assert!((0..=i).rev().take(10).all(|last| places.get(ObjectId(last)).is_some()));
         }
         assert!(places.places.len() < 32 && places.memory_bytes() < 64 * 48, "{} bytes", places.memory_bytes());
     }

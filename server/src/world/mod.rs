@@ -509,7 +509,7 @@ impl World {
                 let (tick, blur, classes) = (self.tick, self.config.blur, &self.classes);
                 let is_spent = |object: &Object, known: &Known| {
                     let motion = classes[usize::from(object.class.0)].motion;
-                    known.is_spent(object.position, object.issue, tick, motion, blur)
+                    known.is_spent(object, tick, motion, blur)
                 };
                 session.mark_changes(&self.objects, tick, reckoning, is_spent, &mut self.marked);
             }

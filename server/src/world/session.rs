@@ -70,6 +70,9 @@ struct Subscription {
     asked_seq: u32,
 }
 
+/// A client that is in a crowd has hundreds of them, and each is looked at once a tick.
+const _: () = assert!(size_of::<(ObjectId, Subscription)>() <= 36);
+
 /// A state that a client may hold.
 struct Held {
     prediction: Prediction,
@@ -83,7 +86,7 @@ impl Subscription {
 
     /// It is asked for anew, and what was told stays known.
     fn renew(&mut self, active: bool, asked_seq: u32) {
-        *self = Subscription { told: self.told.take(), ..Subscription::new(active, asked_seq) };
+        *self = Subscription { told: self.told, ..Subscription::new(active, asked_seq) };
     }
 
     /// Tick of the state that was sent last; `WorldTime::MIN` if none is under way or arrived.
@@ -608,7 +611,7 @@ impl Session {
         stats: &mut WorldStats,
         scratch: &mut Vec<u8>,
         mut entitled: impl FnMut(&[Object], ObjectId) -> bool,
-        mut bound: impl FnMut(&mut Object, Option<&mut Known>) -> Option<WireTbv>,
+        mut bound: impl FnMut(&mut Object, Option<&Known>) -> Option<WireTbv>,
     ) -> Option<Vec<u8>> {
         let Moment { now, tick, slot, .. } = moment;
         let limit = self.datagram_limit.min(moment.room);
@@ -704,7 +707,7 @@ impl Session {
                 if before.is_none() {
                     self.known.remove(id);
                 }
-                if before.is_none_or(|before| before.issue != object.issue) {
+                if before.is_none_or(|Known { issue, .. }| issue != object.issue) {
                     object.note_holder(slot);
                 }
                 subscription.is_sent = true;
@@ -724,9 +727,9 @@ impl Session {
         }
         while let Some(&id) = self.bounds_due.first() {
             let object = &mut objects[id.index()];
-            let known = match self.subscriptions.get_mut(&id) {
+            let known = match self.subscriptions.get(&id) {
                 Some(Subscription { told: Some(told), .. }) => Some(told),
-                _ => self.known.get_mut(id),
+                _ => self.known.get(id),
             };
             let tbv = if object.present && object.alive { bound(object, known) } else { None };
             let Some(tbv) = tbv else {
