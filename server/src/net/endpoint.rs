@@ -52,6 +52,8 @@ fn transport() -> quinn::TransportConfig {
         .receive_window(quinn::VarInt::from_u32(256 * 1024))
         .send_window(1 << 20)
         .ack_frequency_config(Some(acks))
+        // With it a connection keeps ten packets' room for ever, for the sake of the world that it was sent once.
+        .enable_segmentation_offload(false)
         .mtu_discovery_config(None);
     transport
 }
