@@ -23,13 +23,14 @@ fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match arguments[..] {
-        ["record", file] => record(file, 1000, 0),
-        ["record", file, clients] => record(file, clients.parse().context("how many clients?")?, 0),
-        ["record", file, clients, culling] => {
-            record(file, clients.parse().context("how many clients?")?, culling.parse().context("how many that cull?")?)
+        ["record", file, ref numbers @ ..] if numbers.len() <= 3 => {
+            let numbers: Result<Vec<u32>, _> = numbers.iter().map(|number| number.parse()).collect();
+            let numbers = numbers.context("how many clients, how many that cull, how many ticks after all are in?")?;
+            let number = |index: usize, default| numbers.get(index).copied().unwrap_or(default);
+            record(file, number(0, 1000), number(1, 0), number(2, 60))
         }
         ["replay", file] => replay(file),
-        _ => bail!("usage: world_cost record FILE [CLIENTS [CULLING]] | replay FILE"),
+        _ => bail!("usage: world_cost record FILE [CLIENTS [CULLING [SETTLE_TICKS]]] | replay FILE"),
     }
 }
 
@@ -37,9 +38,9 @@ fn stage() -> anyhow::Result<Stage> {
     Stage::made(&RoomsRules { columns: 16, rows: 16, ..RoomsRules::default() })
 }
 
-fn record(file: &str, clients: u32, culling: u32) -> anyhow::Result<()> {
+fn record(file: &str, clients: u32, culling: u32, settle_ticks: u32) -> anyhow::Result<()> {
     let ways = WayRules { ways: 64, frames: 400, period: Duration::from_millis(50), side: 64, hold: 0.0, seed: 7 };
-    let rules = FeedRules { clients, culling, joins_a_tick: 20, settle_ticks: 60, ticks: 40, ways };
+    let rules = FeedRules { clients, culling, joins_a_tick: 20, settle_ticks, ticks: 40, ways };
     let (feed, played) = Feed::record(&stage()?, &rules)?;
     std::fs::write(file, feed.to_bytes()).with_context(|| format!("cannot write {file}"))?;
     for (how, of) in ["cull", "replay"].iter().zip(<[_; 2]>::from(played.split_at(culling as usize))) {
@@ -47,7 +48,7 @@ fn record(file: &str, clients: u32, culling: u32) -> anyhow::Result<()> {
         let (visible, told, said) = (mean(|c| c.visible as u64), mean(|c| c.records_in), mean(|c| c.records_out));
         println!("{} {how}: {visible:.1} visible at the end, {told:.0} records told, {said:.0} said", of.len());
     }
-    println!("{clients} clients, 60 ticks after the last has joined: 40 ticks to be measured in {file}");
+    println!("{clients} clients, {settle_ticks} ticks after the last has joined: 40 ticks to be measured in {file}");
     Ok(())
 }
 
@@ -69,6 +70,8 @@ fn replay(file: &str) -> anyhow::Result<()> {
         each(replayed.datagrams_out),
         replayed.bytes_out as f64 / replayed.datagrams_out.max(1) as f64,
     );
+    let kept = prepared.world().memory_bytes() as f64 / 1024.0;
+    println!("the world keeps {:.1} KB a session, objects and all", kept / f64::from(feed.clients()));
     Ok(())
 }
 

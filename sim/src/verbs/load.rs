@@ -20,8 +20,8 @@ use eyeline_sim::scene::plan::RoomsRules;
 use eyeline_sim::scene::rooms;
 
 use super::swarm::{CullerChoice, HOLD};
-use children::{Child, Measured, Swarming};
-use row::{EchoRow, LoadRow, SoakRow};
+use children::{Child, Echoed, Measured, Swarming};
+use row::{EchoAloneRow, EchoRow, LoadRow, SoakRow};
 
 /// Options of `load`.
 #[derive(Args)]
@@ -98,8 +98,9 @@ pub struct Load {
     #[arg(long, hide = true)]
     part: Option<children::Part>,
 
-    /// What is said each way, for the parts of an echo
-    #[arg(long, hide = true, value_parser = children::traffic)]
+    /// With --echo: run the echo alone, without a world, and say so much each way: seconds of a tick, datagrams that a client sends
+    /// in a tick, bytes of each, datagrams that it gets, bytes of each
+    #[arg(long, value_name = "S,UP,BYTES,DOWN,BYTES", value_parser = children::traffic)]
     traffic: Option<Traffic>,
 }
 
@@ -108,6 +109,7 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim load --clients 200 --seconds 10 --repeats 1
   eyeline-sim load --find-limit --seconds 20 --repeats 1
   eyeline-sim load --echo --seconds 20
+  eyeline-sim load --echo --traffic 0.05,1.28,70,1.01,569 --clients 1000 --seconds 20
   eyeline-sim load --churn 5
   eyeline-sim load --churn 5 --seconds 3600
 
@@ -124,6 +126,10 @@ pub fn run(options: &Load) -> anyhow::Result<()> {
     if let Some(part) = options.part {
         return children::run(part, options);
     }
+    anyhow::ensure!(
+        options.echo || options.traffic.is_none(),
+        "--traffic says what an echo is sent: give --echo, too, or leave it out"
+    );
     let (began, started) = (Instant::now(), rfc3339(SystemTime::now()));
     std::fs::create_dir_all(&options.out)
         .with_context(|| format!("cannot make the folder {}", options.out.display()))?;
@@ -132,7 +138,10 @@ pub fn run(options: &Load) -> anyhow::Result<()> {
     run.notes = notes(options);
     let mut grown = None;
     let (mut report, void) = match options.churn {
-        _ if options.echo => echo(options, &world, run)?,
+        _ if options.echo => match options.traffic {
+            Some(traffic) => echo_alone(options, traffic, run)?,
+            None => echo(options, &world, run)?,
+        },
         Some(_) => soak(options, &world, run, &mut grown)?,
         None => load(options, &world, run)?,
     };
@@ -292,15 +301,8 @@ fn echo(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)
         super::print(&format!("world and echo, pair {}, about {pair_s:.0} s each\n", runs.number()));
         let measured = measure(options, world, options.clients, options.seconds)?;
         let traffic = measured.traffic(options.clients);
-        let server = Child::echo_server(options, traffic)?;
-        let mut clients = Swarming::echo(options, &server, traffic)?;
-        clients.wait_until_all_are_in()?;
-        let (began, before) = (Instant::now(), server.usage()?);
-        std::thread::sleep(Duration::from_secs_f64((options.seconds - 0.5).max(0.5)));
-        let (passed, after) = (began.elapsed(), server.usage()?);
-        let seen = clients.end()?;
-        server.end()?;
-        let row = EchoRow::of(options.clients, &measured, traffic, (after.cpu - before.cpu, passed), seen.late_p99_ms);
+        let echoed = measure_echo(options, traffic)?;
+        let row = EchoRow::of(options.clients, &measured, traffic, &echoed);
         report.push(&row)?;
         runs.count(row.void);
         rows.push(row);
@@ -313,6 +315,45 @@ fn echo(options: &Load, world: &Path, run: Run) -> anyhow::Result<(Report, bool)
         runs.of_what()
     );
     Ok((report, runs.are_void()))
+}
+
+/// An echo and nothing else.
+fn echo_alone(options: &Load, traffic: Traffic, run: Run) -> anyhow::Result<(Report, bool)> {
+    let mut report = Report::new(run, EchoAloneRow::columns());
+    let mut rows = Vec::new();
+    let mut runs = Runs { wanted: options.repeats, ..Runs::default() };
+    while runs.go_on() {
+        super::print(&format!("{} connections of an echo, run {}\n", options.clients, runs.number()));
+        let row = EchoAloneRow::of(options.clients, &measure_echo(options, traffic)?);
+        report.push(&row)?;
+        runs.count(row.void);
+        rows.push(row);
+    }
+    let of = |value: fn(&EchoAloneRow) -> f64| runs.median(rows.iter().map(|row| (row.void, value(row))));
+    report.headline = format!(
+        "{} connections: a bare echo takes {:.1} % of its core, its clients {:.1} % of theirs, and it keeps {:.1} KB for each ({})",
+        options.clients,
+        of(|row| row.echo_cpu_percent),
+        of(|row| row.swarm_cpu_percent.unwrap_or(f64::NAN)),
+        of(|row| row.memory_kb_a_client),
+        runs.of_what()
+    );
+    Ok((report, runs.are_void()))
+}
+
+/// One run of an echo and its clients.
+fn measure_echo(options: &Load, traffic: Traffic) -> anyhow::Result<Echoed> {
+    let server = Child::echo_server(options, traffic)?;
+    let empty = server.usage_settled()?;
+    let mut clients = Swarming::echo(options, &server, traffic)?;
+    clients.wait_until_all_are_in()?;
+    let (began, before, stolen) = (Instant::now(), server.usage()?, process::stolen());
+    std::thread::sleep(Duration::from_secs_f64((options.seconds - 0.5).max(0.5)));
+    let (passed, after) = (began.elapsed(), server.usage()?);
+    let stolen = stolen.zip(process::stolen()).map(|(before, after)| after.saturating_sub(before));
+    let seen = clients.end()?;
+    server.end()?;
+    Ok(Echoed { empty, before, after, passed, stolen, seen })
 }
 
 /// A long run with churn: does memory grow?

@@ -97,6 +97,24 @@ pub struct Measured {
     pub seen: Seen,
 }
 
+/// One run of a bare echo.
+pub struct Echoed {
+    pub empty: Usage,
+    pub before: Usage,
+    pub after: Usage,
+    pub passed: Duration,
+    /// As in [`Measured`].
+    pub stolen: Option<Duration>,
+    pub seen: Seen,
+}
+
+impl Echoed {
+    /// Share of a core that the echo took.
+    pub fn cpu_share(&self) -> f64 {
+        (self.after.cpu - self.before.cpu).as_secs_f64() / self.passed.as_secs_f64()
+    }
+}
+
 impl Measured {
     /// Share of a core that the server took.
     pub fn cpu_share(&self) -> f64 {
@@ -320,17 +338,28 @@ fn traffic_text(traffic: Traffic) -> String {
 
 /// The reverse of [`traffic_text`].
 pub fn traffic(text: &str) -> Result<Traffic, String> {
-    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.parse().ok()).collect();
-    match numbers.as_deref() {
-        Some(&[period_s, up, up_bytes, down, down_bytes]) if period_s > 0.0 && up > 0.0 => Ok(Traffic {
-            period: Duration::from_secs_f64(period_s.min(10.0)),
-            up,
-            up_bytes: up_bytes as usize,
-            down,
-            down_bytes: down_bytes as usize,
-        }),
-        _ => Err("give five numbers: seconds, datagrams up, their bytes, datagrams down, their bytes".to_owned()),
+    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    let Some(&[period_s, up, up_bytes, down, down_bytes]) = numbers.as_deref() else {
+        return Err("give five numbers: seconds, datagrams up, their bytes, datagrams down, their bytes".to_owned());
+    };
+    for (what, value, range) in [
+        ("seconds of a tick", period_s, 0.001..=10.0),
+        ("datagrams up in a tick", up, 0.001..=100.0),
+        ("bytes of a datagram up", up_bytes, 1.0..=1150.0),
+        ("datagrams down in a tick", down, 0.001..=100.0),
+        ("bytes of a datagram down", down_bytes, 1.0..=1150.0),
+    ] {
+        if !range.contains(&value) {
+            return Err(format!("{value} {what}: give {} to {}", range.start(), range.end()));
+        }
     }
+    Ok(Traffic {
+        period: Duration::from_secs_f64(period_s),
+        up,
+        up_bytes: up_bytes as usize,
+        down,
+        down_bytes: down_bytes as usize,
+    })
 }
 
 /// Is a part of a run.
@@ -479,9 +508,11 @@ mod tests {
         let period = Duration::from_millis(50);
         let said = Traffic { period, up: 1.46, up_bytes: 47, down: 2.35, down_bytes: 160 };
         assert_eq!(traffic(&traffic_text(said)), Ok(said));
-        for bad in ["", "1,2,3", "0,1,1,1,1", "nan,1,1,1,1", "1,0,1,1,1"] {
+        for bad in ["", "1,2,3", "0,1,1,1,1", "nan,1,1,1,1", "1,0,1,1,1", "1,1,1,1,inf"] {
             assert!(traffic(bad).is_err(), "{bad}");
         }
+        let error = traffic("0.05,1.3,70,1,9000").unwrap_err();
+        assert!(["9000", "bytes of a datagram down", "1150"].iter().all(|part| error.contains(part)), "{error}");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use eyeline_sim::load::echo::Traffic;
 use eyeline_sim::report::Column;
 use serde::Serialize;
 
-use super::children::Measured;
+use super::children::{Echoed, Measured};
 
 /// One run.
 #[derive(Serialize)]
@@ -57,7 +57,7 @@ impl LoadRow {
             swarm_late_p99_ms: seen.late_p99_ms,
             visible_mean: seen.visible_mean,
             rtt_ms: seen.rtt_ms,
-            stolen_percent: stolen.map(|stolen| 100.0 * stolen.as_secs_f64() / passed.as_secs_f64()),
+            stolen_percent: stolen_percent(*stolen, *passed),
             void: seen.is_void(),
         }
     }
@@ -90,11 +90,7 @@ impl LoadRow {
             Column::new("swarm_late_p99_ms", "ms", "how late the swarm's frames began; one of a hundred was later"),
             Column::new("visible_mean", "", "objects in V at the end, mean"),
             Column::new("rtt_ms", "ms", "round trip as clients saw it, mean"),
-            Column::new(
-                "stolen_percent",
-                "%",
-                "of one core, taken from this machine by its host meanwhile: why a swarm may be late",
-            ),
+            stolen_column(),
             Column::new("void", "", "whether the swarm was too late for the row to mean anything"),
         ]
     }
@@ -117,15 +113,8 @@ pub struct EchoRow {
 }
 
 impl EchoRow {
-    pub fn of(
-        clients: u32,
-        measured: &Measured,
-        traffic: Traffic,
-        (cpu, passed): (Duration, Duration),
-        late_p99_ms: f64,
-    ) -> EchoRow {
-        let world = measured.cpu_share();
-        let echo = cpu.as_secs_f64() / passed.as_secs_f64();
+    pub fn of(clients: u32, measured: &Measured, traffic: Traffic, echoed: &Echoed) -> EchoRow {
+        let (world, echo) = (measured.cpu_share(), echoed.cpu_share());
         EchoRow {
             clients,
             up: traffic.up,
@@ -136,8 +125,8 @@ impl EchoRow {
             echo_cpu_percent: 100.0 * echo,
             ratio: world / echo,
             world_swarm_late_p99_ms: measured.seen.late_p99_ms,
-            echo_swarm_late_p99_ms: late_p99_ms,
-            void: measured.seen.is_void() || late_p99_ms > super::super::swarm::LATE_MAX.as_secs_f64() * 1e3,
+            echo_swarm_late_p99_ms: echoed.seen.late_p99_ms,
+            void: measured.seen.is_void() || echoed.seen.is_void(),
         }
     }
 
@@ -160,6 +149,65 @@ impl EchoRow {
             Column::new("void", "", "whether one of these makes the row mean nothing"),
         ]
     }
+}
+
+/// One run of an echo alone.
+#[derive(Serialize)]
+pub struct EchoAloneRow {
+    clients: u32,
+    pub echo_cpu_percent: f64,
+    pub swarm_cpu_percent: Option<f64>,
+    rss_empty_kb: f64,
+    rss_full_kb: f64,
+    pub memory_kb_a_client: f64,
+    echo_swarm_late_p99_ms: f64,
+    stolen_percent: Option<f64>,
+    pub void: bool,
+}
+
+impl EchoAloneRow {
+    pub fn of(clients: u32, echoed: &Echoed) -> EchoAloneRow {
+        let Echoed { empty, after, passed, stolen, seen, .. } = echoed;
+        let kb = |bytes: u64| bytes as f64 / 1024.0;
+        EchoAloneRow {
+            clients,
+            echo_cpu_percent: 100.0 * echoed.cpu_share(),
+            swarm_cpu_percent: seen.cpu_percent,
+            rss_empty_kb: kb(empty.rss_bytes),
+            rss_full_kb: kb(after.rss_bytes),
+            memory_kb_a_client: (kb(after.rss_bytes) - kb(empty.rss_bytes)) / f64::from(clients),
+            echo_swarm_late_p99_ms: seen.late_p99_ms,
+            stolen_percent: stolen_percent(*stolen, *passed),
+            void: seen.is_void(),
+        }
+    }
+
+    pub fn columns() -> Vec<Column> {
+        vec![
+            Column::new("clients", "", "connections"),
+            Column::new("echo_cpu_percent", "%", "of its core that the echo took"),
+            Column::new("swarm_cpu_percent", "%", "of theirs that its clients took"),
+            Column::new("rss_empty_kb", "KB", "the echo's memory without clients"),
+            Column::new("rss_full_kb", "KB", "with all of them, at the end"),
+            Column::new("memory_kb_a_client", "KB", "the difference for each"),
+            Column::new(
+                "echo_swarm_late_p99_ms",
+                "ms",
+                "how late the frames of its clients began; one of a hundred was later",
+            ),
+            stolen_column(),
+            Column::new("void", "", "whether they were too late for the row to mean anything"),
+        ]
+    }
+}
+
+fn stolen_percent(stolen: Option<Duration>, passed: Duration) -> Option<f64> {
+    stolen.map(|stolen| 100.0 * stolen.as_secs_f64() / passed.as_secs_f64())
+}
+
+fn stolen_column() -> Column {
+    let what = "of one core, taken from this machine by its host meanwhile: why a swarm may be late";
+    Column::new("stolen_percent", "%", what)
 }
 
 /// One moment of a soak.
