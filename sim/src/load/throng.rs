@@ -12,7 +12,7 @@
 mod link;
 
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, VecDeque};
 use std::io::{self, IoSliceMut};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
@@ -128,7 +128,7 @@ pub struct Throng {
     /// When it is looked next whether somebody has not been let in.
     looks_next: LocalTime,
     /// Links that something has happened to.
-    touched: Vec<usize>,
+    touched: VecDeque<usize>,
     /// When links want to be woken. Those that want it later by now are put back.
     timers: BinaryHeap<Reverse<(Instant, usize)>>,
     /// Members' next frames.
@@ -173,7 +173,7 @@ impl Throng {
             links: Vec::new(),
             is_ending: false,
             looks_next: LocalTime::ZERO,
-            touched: Vec::new(),
+            touched: VecDeque::new(),
             timers: BinaryHeap::new(),
             due: BinaryHeap::new(),
             arrived: vec![0; ARRIVES_MAX * BATCH_SIZE],
@@ -279,7 +279,7 @@ impl Throng {
         if let Some(link) = self.links.get_mut(handle).and_then(Option::as_mut)
             && !std::mem::replace(&mut link.is_touched, true)
         {
-            self.touched.push(handle);
+            self.touched.push_back(handle);
         }
     }
 
@@ -288,7 +288,8 @@ impl Throng {
         let frame = self.due.peek().map(|Reverse((due, _))| self.clock.instant(*due));
         let timer = self.timers.peek().map(|Reverse((at, _))| *at);
         let patience = Instant::now() + Duration::from_millis(100);
-        let next = [frame, timer].into_iter().flatten().fold(patience, Instant::min);
+        let link = (!self.touched.is_empty()).then(Instant::now);
+        let next = [frame, timer, link].into_iter().flatten().fold(patience, Instant::min);
         tokio::select! {
             biased;
             ready = self.socket.readable() => {
@@ -299,18 +300,19 @@ impl Throng {
         }
         self.wake();
         self.look_for_overdue()?;
-        // Frames come first: all that a server says at a tick arrives at once, and they must not wait for it.
-        loop {
-            self.frames()?;
-            for _ in 0..LOOKS_MAX {
-                let Some(handle) = self.touched.pop() else {
-                    // There are other tasks on this thread.
-                    tokio::task::yield_now().await;
-                    return Ok(());
-                };
-                self.look_after(handle)?;
+        // Frames come first: all that a server says at a tick arrives at once, and they must not wait for it. Who is too slow for all
+        // its frames still comes to the end of this list, and hears what has arrived meanwhile.
+        for look in 0..self.touched.len() {
+            if look % LOOKS_MAX == 0 {
+                self.frames()?;
             }
+            let Some(handle) = self.touched.pop_front() else { break };
+            self.look_after(handle)?;
         }
+        self.frames()?;
+        // There are other tasks on this thread.
+        tokio::task::yield_now().await;
+        Ok(())
     }
 
     /// Nobody is waited for without end.
@@ -392,7 +394,7 @@ impl Throng {
 
     /// Lets each link that something happened to do all that it can do now.
     fn look_after_touched(&mut self) -> anyhow::Result<()> {
-        while let Some(handle) = self.touched.pop() {
+        while let Some(handle) = self.touched.pop_front() {
             self.look_after(handle)?;
         }
         Ok(())
