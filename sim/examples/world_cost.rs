@@ -6,7 +6,8 @@
 //! target/release/examples/world_cost replay out/feed.bin
 //! valgrind --tool=callgrind --toggle-collect='*measured*' target/release/examples/world_cost replay out/feed.bin
 //! ```
-//! The world is 16×16 rooms with 1,024 chairs; 1,000 people are in it unless a number follows `record FILE`.
+//! The world is 16×16 rooms with 1,024 chairs; 1,000 people are in it unless a number follows `record FILE`. A second number says how many
+//! of them cull, a third how many ticks pass once all are in.
 
 #![expect(clippy::disallowed_methods, reason = "it measures")]
 

@@ -2,8 +2,9 @@
 //!
 //! [`serve`] takes datagrams of a given size and gives others, as many in all and at the same moments as a world would: one to
 //! each client at each tick, and the rest as answers to what arrives. There is no world in it. [`play`] is the other end:
-//! as many connections as clients, each saying so much at 20 Hz, staggered over the tick. Both use the settings of the real
-//! server and client.
+//! as many connections as clients, each saying so much at 20 Hz, staggered over the tick, and in as many bunches as a world's
+//! clients: a server that waits for each datagram takes up to half as much time again as one that finds a handful. Both use the
+//! settings of the real server and client.
 
 use std::cell::RefCell;
 use std::future::Future;
@@ -31,6 +32,8 @@ pub struct Traffic {
     pub down: f64,
     /// Bytes of each.
     pub down_bytes: usize,
+    /// In how many bunches a second all that clients say arrives, evenly spread; if none is given, each client's frame on its own.
+    pub bunches: Option<f64>,
 }
 
 /// Hands out whole things at a rate that is not whole.
@@ -128,43 +131,36 @@ pub async fn play(
     let mut endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), None, socket, runtime)?;
     endpoint.set_default_client_config(eyeline_client::net::quic_config(fingerprint)?);
     let played: Rc<RefCell<(bool, Played)>> = Rc::default();
-    let begin = Instant::now() + Duration::from_millis(50);
     let mut tasks = tokio::task::JoinSet::new();
+    let mut speakers = Vec::new();
     for number in 0..clients {
         let connection = endpoint.connect(address, "eyeline")?.await.with_context(|| format!("client {number}"))?;
+        speakers.push((connection.clone(), Share::default()));
         let played = played.clone();
-        let phase = begin + traffic.period.mul_f64(f64::from(number) / f64::from(clients));
         tasks.spawn_local(async move {
-            let question = Bytes::from(vec![0; traffic.up_bytes]);
-            let mut share = Share::default();
-            let passed = Instant::now().saturating_duration_since(phase);
-            let mut due = phase + traffic.period.mul_f64((passed.as_secs_f64() / traffic.period.as_secs_f64()).ceil());
-            loop {
-                tokio::select! {
-                    datagram = connection.read_datagram() => {
-                        if datagram.is_err() {
-                            return;
-                        }
-                        let (is_measured, played) = &mut *played.borrow_mut();
-                        played.received += u64::from(*is_measured);
-                    }
-                    () = tokio::time::sleep_until(due) => {
-                        let (is_measured, played) = &mut *played.borrow_mut();
-                        for _ in 0..share.take(traffic.up) {
-                            let _ = connection.send_datagram(question.clone());
-                            played.sent += u64::from(*is_measured);
-                        }
-                        if *is_measured {
-                            played.late.push(due.elapsed());
-                        }
-                        while due <= Instant::now() {
-                            due += traffic.period;
-                        }
-                    }
-                }
+            while connection.read_datagram().await.is_ok() {
+                let (is_measured, played) = &mut *played.borrow_mut();
+                played.received += u64::from(*is_measured);
             }
         });
     }
+    let (frames, mut due) = tokio::sync::mpsc::unbounded_channel();
+    let clock = std::thread::spawn(move || keep_time(clients, traffic, &frames));
+    let spoken = played.clone();
+    tasks.spawn_local(async move {
+        let question = Bytes::from(vec![0; traffic.up_bytes]);
+        while let Some((number, due)) = due.recv().await {
+            let (connection, share) = &mut speakers[number];
+            let (is_measured, played) = &mut *spoken.borrow_mut();
+            for _ in 0..share.take(traffic.up) {
+                let _ = connection.send_datagram(question.clone());
+                played.sent += u64::from(*is_measured);
+            }
+            if *is_measured {
+                played.late.push(due.elapsed());
+            }
+        }
+    });
     tokio::time::sleep(settle).await;
     all_in();
     played.borrow_mut().0 = true;
@@ -174,7 +170,26 @@ pub async fn play(
     endpoint.close(0u32.into(), b"goodbye");
     let _ = tokio::time::timeout(Duration::from_secs(2), endpoint.wait_idle()).await;
     tasks.shutdown().await;
+    // It ends as soon as nobody hears it any more.
+    let _ = clock.join();
     Ok(outcome)
+}
+
+/// Says whose frame begins: each client's once a period, all of them evenly spread, but for their bunches. Until nobody hears it.
+///
+/// On a thread of its own, since tokio's timers come each millisecond: what arrives in a few large bunches is cheaper to serve than what a
+/// swarm says, whose people each take their time.
+fn keep_time(clients: u32, traffic: Traffic, frames: &tokio::sync::mpsc::UnboundedSender<(usize, Instant)>) {
+    let begin = Instant::now() + Duration::from_millis(50);
+    for frame in 0.. {
+        let after = traffic.period.mul_f64(f64::from(frame) / f64::from(clients));
+        let bunch =
+            traffic.bunches.map_or(after, |rate| Duration::from_secs_f64((after.as_secs_f64() * rate).ceil() / rate));
+        std::thread::sleep((begin + bunch).saturating_duration_since(Instant::now()));
+        if frames.send(((frame % clients) as usize, begin + after)).is_err() {
+            return;
+        }
+    }
 }
 
 #[cfg(test)]
@@ -192,7 +207,7 @@ mod tests {
     #[test]
     fn as_many_datagrams_as_asked_for_go_each_way() {
         let period = Duration::from_millis(50);
-        let traffic = Traffic { period, up: 1.5, up_bytes: 60, down: 2.2, down_bytes: 200 };
+        let traffic = Traffic { period, up: 1.5, up_bytes: 60, down: 2.2, down_bytes: 200, bunches: Some(60.0) };
         let folder = tempfile::tempdir().unwrap();
         let identity = Identity::load_or_create(folder.path()).unwrap();
         let fingerprint: Fingerprint = identity.fingerprint_hex().parse().unwrap();

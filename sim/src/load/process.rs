@@ -11,6 +11,8 @@ pub struct Usage {
     pub rss_bytes: u64,
     /// Processor time, of its own and of the system for it.
     pub cpu: Duration,
+    /// How often its first thread has waited for something to do.
+    pub waits: u64,
 }
 
 impl Usage {
@@ -34,11 +36,12 @@ const STAT_HZ: f64 = 100.0;
 fn parse(status: &str, stat: &str) -> Option<Usage> {
     let rss = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
     let rss_kib: u64 = rss.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    let waits = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"))?.trim().parse().ok()?;
     // The name, in brackets, may hold anything; user and system time are the 12th and 13th field after it.
     let (_, fields) = stat.rsplit_once(')')?;
     let mut times = fields.split_whitespace().skip(11).map(|field| field.parse::<u64>());
     let ticks = times.next()?.ok()? + times.next()?.ok()?;
-    Some(Usage { rss_bytes: rss_kib * 1024, cpu: Duration::from_secs_f64(ticks as f64 / STAT_HZ) })
+    Some(Usage { rss_bytes: rss_kib * 1024, cpu: Duration::from_secs_f64(ticks as f64 / STAT_HZ), waits })
 }
 
 /// Keeps this process, from now on, on one core.
@@ -81,11 +84,13 @@ mod tests {
 
     #[test]
     fn a_process_may_be_called_anything() {
-        let status = "Name:\tx\nVmRSS:\t   2048 kB\nThreads:\t1\n";
+        let status = "Name:\tx\nVmRSS:\t   2048 kB\nThreads:\t1\nvoluntary_ctxt_switches:\t12\n";
         let stat = "7 (a) 1 2) b) S 1 2 3 4 5 6 7 8 9 10 250 50 0 0 20 0";
-        let usage = Usage { rss_bytes: 2 << 20, cpu: Duration::from_secs(3) };
+        let usage = Usage { rss_bytes: 2 << 20, cpu: Duration::from_secs(3), waits: 12 };
         assert_eq!(parse(status, stat), Some(usage));
-        for (status, stat) in [("", stat), (status, ""), (status, "7 (x) S 1 2"), ("VmRSS: many kB\n", stat)] {
+        for (status, stat) in
+            [("", stat), (status, ""), (status, "7 (x) S 1 2"), ("VmRSS: many kB\n", stat), ("VmRSS: 1 kB\n", stat)]
+        {
             assert_eq!(parse(status, stat), None);
         }
     }

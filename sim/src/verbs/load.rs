@@ -99,8 +99,9 @@ pub struct Load {
     part: Option<children::Part>,
 
     /// With --echo: run the echo alone, without a world, and say so much each way: seconds of a tick, datagrams that a client sends
-    /// in a tick, bytes of each, datagrams that it gets, bytes of each
-    #[arg(long, value_name = "S,UP,BYTES,DOWN,BYTES", value_parser = children::traffic)]
+    /// in a tick, bytes of each, datagrams that it gets, bytes of each; and in how many bunches a second all that clients say arrives,
+    /// unless each on its own
+    #[arg(long, value_name = "S,UP,BYTES,DOWN,BYTES[,BUNCHES]", value_parser = children::traffic)]
     traffic: Option<Traffic>,
 }
 

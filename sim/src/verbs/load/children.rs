@@ -109,6 +109,11 @@ pub struct Echoed {
 }
 
 impl Echoed {
+    /// How often a second the echo waited for something to do.
+    pub fn waits(&self) -> f64 {
+        (self.after.waits - self.before.waits) as f64 / self.passed.as_secs_f64()
+    }
+
     /// Share of a core that the echo took.
     pub fn cpu_share(&self) -> f64 {
         (self.after.cpu - self.before.cpu).as_secs_f64() / self.passed.as_secs_f64()
@@ -116,6 +121,11 @@ impl Echoed {
 }
 
 impl Measured {
+    /// How often a second the server waited for something to do.
+    pub fn waits(&self) -> f64 {
+        (self.after.waits - self.before.waits) as f64 / self.passed.as_secs_f64()
+    }
+
     /// Share of a core that the server took.
     pub fn cpu_share(&self) -> f64 {
         (self.after.cpu - self.before.cpu).as_secs_f64() / self.passed.as_secs_f64()
@@ -132,6 +142,7 @@ impl Measured {
             up_bytes: mean(told.bytes_in, told.datagrams_in),
             down: told.datagrams_out as f64 / rounds,
             down_bytes: mean(told.bytes_out, told.datagrams_out),
+            bunches: Some(self.waits().max(1.0)),
         }
     }
 }
@@ -332,34 +343,39 @@ impl Swarming {
 
 /// As it goes from process to process.
 fn traffic_text(traffic: Traffic) -> String {
-    let Traffic { period, up, up_bytes, down, down_bytes } = traffic;
-    format!("{},{up},{up_bytes},{down},{down_bytes}", period.as_secs_f64())
+    let Traffic { period, up, up_bytes, down, down_bytes, bunches } = traffic;
+    let bunches = bunches.map_or(String::new(), |bunches| format!(",{bunches}"));
+    format!("{},{up},{up_bytes},{down},{down_bytes}{bunches}", period.as_secs_f64())
 }
 
 /// The reverse of [`traffic_text`].
 pub fn traffic(text: &str) -> Result<Traffic, String> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
-    let Some(&[period_s, up, up_bytes, down, down_bytes]) = numbers.as_deref() else {
-        return Err("give five numbers: seconds, datagrams up, their bytes, datagrams down, their bytes".to_owned());
+    let (Some(&[period_s, up, up_bytes, down, down_bytes]), bunches @ (None | Some([_]))) =
+        numbers.as_deref().map_or((None, None), |numbers| {
+            let (five, rest) = numbers.split_at(numbers.len().min(5));
+            (<&[f64; 5]>::try_from(five).ok(), Some(rest).filter(|rest| !rest.is_empty()))
+        })
+    else {
+        return Err("give five numbers: seconds, datagrams up, their bytes, datagrams down, their bytes; and, if you like, in how \
+                    many bunches a second those up arrive"
+            .to_owned());
     };
+    let bunches = bunches.map(|bunches| bunches[0]);
     for (what, value, range) in [
         ("seconds of a tick", period_s, 0.001..=10.0),
         ("datagrams up in a tick", up, 0.001..=100.0),
         ("bytes of a datagram up", up_bytes, 1.0..=1150.0),
         ("datagrams down in a tick", down, 0.001..=100.0),
         ("bytes of a datagram down", down_bytes, 1.0..=1150.0),
+        ("bunches a second", bunches.unwrap_or(1.0), 1.0..=1e6),
     ] {
         if !range.contains(&value) {
             return Err(format!("{value} {what}: give {} to {}", range.start(), range.end()));
         }
     }
-    Ok(Traffic {
-        period: Duration::from_secs_f64(period_s),
-        up,
-        up_bytes: up_bytes as usize,
-        down,
-        down_bytes: down_bytes as usize,
-    })
+    let (up_bytes, down_bytes) = (up_bytes as usize, down_bytes as usize);
+    Ok(Traffic { period: Duration::from_secs_f64(period_s), up, up_bytes, down, down_bytes, bunches })
 }
 
 /// Is a part of a run.
@@ -506,9 +522,12 @@ mod tests {
     #[test]
     fn traffic_goes_from_process_to_process() {
         let period = Duration::from_millis(50);
-        let said = Traffic { period, up: 1.46, up_bytes: 47, down: 2.35, down_bytes: 160 };
-        assert_eq!(traffic(&traffic_text(said)), Ok(said));
-        for bad in ["", "1,2,3", "0,1,1,1,1", "nan,1,1,1,1", "1,0,1,1,1", "1,1,1,1,inf"] {
+        for bunches in [None, Some(1234.5)] {
+            let said = Traffic { period, up: 1.46, up_bytes: 47, down: 2.35, down_bytes: 160, bunches };
+            assert_eq!(traffic(&traffic_text(said)), Ok(said));
+        }
+        for bad in ["", "1,2,3", "0,1,1,1,1", "nan,1,1,1,1", "1,0,1,1,1", "1,1,1,1,inf", "1,1,1,1,1,0", "1,1,1,1,1,1,1"]
+        {
             assert!(traffic(bad).is_err(), "{bad}");
         }
         let error = traffic("0.05,1.3,70,1,9000").unwrap_err();
