@@ -14,13 +14,13 @@ use clap::Args;
 use eyeline_server::app::number;
 use eyeline_server::world::Answers;
 use eyeline_sim::load::echo::Traffic;
-use eyeline_sim::load::process::{self, load_average};
+use eyeline_sim::load::process::load_average;
 use eyeline_sim::report::{Report, Run, rfc3339, table};
 use eyeline_sim::scene::plan::RoomsRules;
 use eyeline_sim::scene::rooms;
 
 use super::swarm::{CullerChoice, HOLD};
-use children::{Child, Echoed, Measured, Swarming};
+use children::{Child, Echoed, Measured, Span, Swarming};
 use row::{EchoAloneRow, EchoRow, LoadRow, SoakRow};
 
 /// Options of `load`.
@@ -280,14 +280,11 @@ fn measure(options: &Load, world: &Path, clients: u32, seconds: f64) -> anyhow::
     let mut swarm = Swarming::start(options, world, &server, clients, seconds, 0.0)?;
     swarm.wait_until_all_are_in()?;
     server.reset()?;
-    let (began, before, stolen) = (Instant::now(), server.usage()?, process::stolen());
-    // The end of the run is the swarm's leaving, which is another work.
-    std::thread::sleep(Duration::from_secs_f64((seconds - 0.5).max(0.5)));
-    let (passed, after, told) = (began.elapsed(), server.usage()?, server.report()?);
-    let stolen = stolen.zip(process::stolen()).map(|(before, after)| after.saturating_sub(before));
+    let span = Span::measure(&server, seconds)?;
+    let told = server.report()?;
     let seen = swarm.end()?;
     server.end()?;
-    Ok(Measured { empty, before, after, passed, stolen, told, seen })
+    Ok(Measured { empty, span, told, seen })
 }
 
 /// World, echo, world, echo.
@@ -348,13 +345,10 @@ fn measure_echo(options: &Load, traffic: Traffic) -> anyhow::Result<Echoed> {
     let empty = server.usage_settled()?;
     let mut clients = Swarming::echo(options, &server, traffic)?;
     clients.wait_until_all_are_in()?;
-    let (began, before, stolen) = (Instant::now(), server.usage()?, process::stolen());
-    std::thread::sleep(Duration::from_secs_f64((options.seconds - 0.5).max(0.5)));
-    let (passed, after) = (began.elapsed(), server.usage()?);
-    let stolen = stolen.zip(process::stolen()).map(|(before, after)| after.saturating_sub(before));
+    let span = Span::measure(&server, options.seconds)?;
     let seen = clients.end()?;
     server.end()?;
-    Ok(Echoed { empty, before, after, passed, stolen, seen })
+    Ok(Echoed { empty, span, seen })
 }
 
 /// A long run with churn: does memory grow?

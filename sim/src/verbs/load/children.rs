@@ -19,7 +19,7 @@ use eyeline_server::net::{Handle, Identity, Server, WorldClock};
 use eyeline_server::policy::PolicySettings;
 use eyeline_server::world::{World, WorldConfig};
 use eyeline_sim::load::echo::{self, Traffic};
-use eyeline_sim::load::process::{Usage, pin_to};
+use eyeline_sim::load::process::{self, Usage, pin_to};
 use eyeline_sim::stage::load_model;
 use serde::{Deserialize, Serialize};
 use tokio::task::LocalSet;
@@ -85,52 +85,58 @@ impl Seen {
     }
 }
 
-/// One run of the world's server and a swarm.
-pub struct Measured {
-    pub empty: Usage,
+/// What a server did while it was measured.
+pub struct Span {
     pub before: Usage,
     pub after: Usage,
     pub passed: Duration,
     /// Processor time that the machine's host gave to others meanwhile, all cores together; `None` where the system does not tell.
     pub stolen: Option<Duration>,
+}
+
+impl Span {
+    /// What `server` does for so long.
+    pub fn measure(server: &Child, seconds: f64) -> anyhow::Result<Span> {
+        let (began, before, stolen) = (Instant::now(), server.usage()?, process::stolen());
+        // The end of the run is the clients' leaving, which is another work.
+        std::thread::sleep(Duration::from_secs_f64((seconds - 0.5).max(0.5)));
+        let (passed, after) = (began.elapsed(), server.usage()?);
+        let stolen = stolen.zip(process::stolen()).map(|(before, after)| after.saturating_sub(before));
+        Ok(Span { before, after, passed, stolen })
+    }
+
+    /// Share of a core that it took.
+    pub fn cpu_share(&self) -> f64 {
+        (self.after.cpu - self.before.cpu).as_secs_f64() / self.passed.as_secs_f64()
+    }
+
+    /// How often a second it waited for something to do.
+    pub fn waits(&self) -> f64 {
+        (self.after.waits - self.before.waits) as f64 / self.passed.as_secs_f64()
+    }
+
+    /// Percentage of one core that the host took.
+    pub fn stolen_percent(&self) -> Option<f64> {
+        self.stolen.map(|stolen| 100.0 * stolen.as_secs_f64() / self.passed.as_secs_f64())
+    }
+}
+
+/// One run of a bare echo and its clients.
+pub struct Echoed {
+    pub empty: Usage,
+    pub span: Span,
+    pub seen: Seen,
+}
+
+/// One run of the world's server and a swarm.
+pub struct Measured {
+    pub empty: Usage,
+    pub span: Span,
     pub told: Told,
     pub seen: Seen,
 }
 
-/// One run of a bare echo.
-pub struct Echoed {
-    pub empty: Usage,
-    pub before: Usage,
-    pub after: Usage,
-    pub passed: Duration,
-    /// As in [`Measured`].
-    pub stolen: Option<Duration>,
-    pub seen: Seen,
-}
-
-impl Echoed {
-    /// How often a second the echo waited for something to do.
-    pub fn waits(&self) -> f64 {
-        (self.after.waits - self.before.waits) as f64 / self.passed.as_secs_f64()
-    }
-
-    /// Share of a core that the echo took.
-    pub fn cpu_share(&self) -> f64 {
-        (self.after.cpu - self.before.cpu).as_secs_f64() / self.passed.as_secs_f64()
-    }
-}
-
 impl Measured {
-    /// How often a second the server waited for something to do.
-    pub fn waits(&self) -> f64 {
-        (self.after.waits - self.before.waits) as f64 / self.passed.as_secs_f64()
-    }
-
-    /// Share of a core that the server took.
-    pub fn cpu_share(&self) -> f64 {
-        (self.after.cpu - self.before.cpu).as_secs_f64() / self.passed.as_secs_f64()
-    }
-
     /// What was said each way.
     pub fn traffic(&self, clients: u32) -> Traffic {
         let told = &self.told;
@@ -142,7 +148,7 @@ impl Measured {
             up_bytes: mean(told.bytes_in, told.datagrams_in),
             down: told.datagrams_out as f64 / rounds,
             down_bytes: mean(told.bytes_out, told.datagrams_out),
-            bunches: Some(self.waits().max(1.0)),
+            bunches: Some(self.span.waits().max(1.0)),
         }
     }
 }
@@ -351,17 +357,19 @@ fn traffic_text(traffic: Traffic) -> String {
 /// The reverse of [`traffic_text`].
 pub fn traffic(text: &str) -> Result<Traffic, String> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
-    let (Some(&[period_s, up, up_bytes, down, down_bytes]), bunches @ (None | Some([_]))) =
-        numbers.as_deref().map_or((None, None), |numbers| {
-            let (five, rest) = numbers.split_at(numbers.len().min(5));
-            (<&[f64; 5]>::try_from(five).ok(), Some(rest).filter(|rest| !rest.is_empty()))
-        })
-    else {
-        return Err("give five numbers: seconds, datagrams up, their bytes, datagrams down, their bytes; and, if you like, in how \
-                    many bunches a second those up arrive"
-            .to_owned());
+    let (period_s, up, up_bytes, down, down_bytes, bunches) = match numbers.as_deref() {
+        Some(&[period_s, up, up_bytes, down, down_bytes]) => (period_s, up, up_bytes, down, down_bytes, None),
+        Some(&[period_s, up, up_bytes, down, down_bytes, bunches]) => {
+            (period_s, up, up_bytes, down, down_bytes, Some(bunches))
+        }
+        _ => {
+            return Err(
+                "give five numbers: seconds, datagrams up, their bytes, datagrams down, their bytes; and a sixth if \
+                        you like: in how many bunches a second those up arrive"
+                    .to_owned(),
+            );
+        }
     };
-    let bunches = bunches.map(|bunches| bunches[0]);
     for (what, value, range) in [
         ("seconds of a tick", period_s, 0.001..=10.0),
         ("datagrams up in a tick", up, 0.001..=100.0),

@@ -1,7 +1,5 @@
 //! What `load` reports.
 
-use std::time::Duration;
-
 use eyeline_sim::load::echo::Traffic;
 use eyeline_sim::report::Column;
 use serde::Serialize;
@@ -35,7 +33,7 @@ pub struct LoadRow {
 
 impl LoadRow {
     pub fn of(clients: u32, measured: &Measured) -> LoadRow {
-        let Measured { empty, after, passed, stolen, told, seen, .. } = measured;
+        let Measured { empty, span, told, seen } = measured;
         let kb = |bytes: u64| bytes as f64 / 1024.0;
         let traffic = measured.traffic(clients);
         LoadRow {
@@ -46,18 +44,18 @@ impl LoadRow {
             half_tick_ms: told.tick_ms / 2.0,
             sent_p99_ms: told.sent_p99_ms,
             ticks_missed: told.missed,
-            server_cpu_percent: 100.0 * measured.cpu_share(),
-            cpu_micros_a_client_tick: 1e6 * measured.cpu_share() * told.tick_ms * 1e-3 / f64::from(clients),
+            server_cpu_percent: 100.0 * measured.span.cpu_share(),
+            cpu_micros_a_client_tick: 1e6 * measured.span.cpu_share() * told.tick_ms * 1e-3 / f64::from(clients),
             rss_empty_kb: kb(empty.rss_bytes),
-            rss_full_kb: kb(after.rss_bytes),
-            memory_kb_a_client: (kb(after.rss_bytes) - kb(empty.rss_bytes)) / f64::from(clients),
+            rss_full_kb: kb(span.after.rss_bytes),
+            memory_kb_a_client: (kb(span.after.rss_bytes) - kb(empty.rss_bytes)) / f64::from(clients),
             datagrams_in_a_client_tick: traffic.up,
             datagrams_out_a_client_tick: traffic.down,
             swarm_cpu_percent: seen.cpu_percent,
             swarm_late_p99_ms: seen.late_p99_ms,
             visible_mean: seen.visible_mean,
             rtt_ms: seen.rtt_ms,
-            stolen_percent: stolen_percent(*stolen, *passed),
+            stolen_percent: span.stolen_percent(),
             void: seen.is_void(),
         }
     }
@@ -116,7 +114,7 @@ pub struct EchoRow {
 
 impl EchoRow {
     pub fn of(clients: u32, measured: &Measured, traffic: Traffic, echoed: &Echoed) -> EchoRow {
-        let (world, echo) = (measured.cpu_share(), echoed.cpu_share());
+        let (world, echo) = (measured.span.cpu_share(), echoed.span.cpu_share());
         EchoRow {
             clients,
             up: traffic.up,
@@ -126,8 +124,8 @@ impl EchoRow {
             world_cpu_percent: 100.0 * world,
             echo_cpu_percent: 100.0 * echo,
             ratio: world / echo,
-            world_waits: measured.waits(),
-            echo_waits: echoed.waits(),
+            world_waits: measured.span.waits(),
+            echo_waits: echoed.span.waits(),
             world_swarm_late_p99_ms: measured.seen.late_p99_ms,
             echo_swarm_late_p99_ms: echoed.seen.late_p99_ms,
             void: measured.seen.is_void() || echoed.seen.is_void(),
@@ -177,17 +175,17 @@ pub struct EchoAloneRow {
 
 impl EchoAloneRow {
     pub fn of(clients: u32, echoed: &Echoed) -> EchoAloneRow {
-        let Echoed { empty, after, passed, stolen, seen, .. } = echoed;
+        let Echoed { empty, span, seen } = echoed;
         let kb = |bytes: u64| bytes as f64 / 1024.0;
         EchoAloneRow {
             clients,
-            echo_cpu_percent: 100.0 * echoed.cpu_share(),
+            echo_cpu_percent: 100.0 * echoed.span.cpu_share(),
             swarm_cpu_percent: seen.cpu_percent,
             rss_empty_kb: kb(empty.rss_bytes),
-            rss_full_kb: kb(after.rss_bytes),
-            memory_kb_a_client: (kb(after.rss_bytes) - kb(empty.rss_bytes)) / f64::from(clients),
+            rss_full_kb: kb(span.after.rss_bytes),
+            memory_kb_a_client: (kb(span.after.rss_bytes) - kb(empty.rss_bytes)) / f64::from(clients),
             echo_swarm_late_p99_ms: seen.late_p99_ms,
-            stolen_percent: stolen_percent(*stolen, *passed),
+            stolen_percent: span.stolen_percent(),
             void: seen.is_void(),
         }
     }
@@ -209,10 +207,6 @@ impl EchoAloneRow {
             Column::new("void", "", "whether they were too late for the row to mean anything"),
         ]
     }
-}
-
-fn stolen_percent(stolen: Option<Duration>, passed: Duration) -> Option<f64> {
-    stolen.map(|stolen| 100.0 * stolen.as_secs_f64() / passed.as_secs_f64())
 }
 
 fn stolen_column() -> Column {
