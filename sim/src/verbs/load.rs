@@ -27,7 +27,7 @@ use row::{EchoAloneRow, EchoRow, LoadRow, SoakRow};
 #[derive(Args)]
 pub struct Load {
     /// How many people; with --find-limit, how many at first: 64 unless given
-    #[arg(long, value_name = "N", default_value_t = 1000, default_value_if("find_limit", "true", "64"),
+    #[arg(long, value_name = "N", default_value_t = 200, default_value_if("find_limit", "true", "64"),
         value_parser = clap::value_parser!(u32).range(1..=4096))]
     clients: u32,
 
@@ -110,7 +110,7 @@ pub const EXAMPLES: &str = "Examples:
   eyeline-sim load --clients 200 --seconds 10 --repeats 1
   eyeline-sim load --find-limit --seconds 20 --repeats 1
   eyeline-sim load --echo --seconds 20
-  eyeline-sim load --echo --traffic 0.05,1.28,70,1.01,569 --clients 1000 --seconds 20
+  eyeline-sim load --echo --traffic 0.05,1.28,50,1.01,560,3500 --clients 1000 --seconds 20
   eyeline-sim load --churn 5
   eyeline-sim load --churn 5 --seconds 3600
 
