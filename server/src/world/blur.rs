@@ -10,6 +10,8 @@
 //!
 //! A client that was told an exact place knows the ball around it, too ([`Known`]).
 
+use std::time::Duration;
+
 use eyeline_protocol::{Issue, METRES_MAX, MotionBound, ObjectId, Position, QUANTUM_METRES, Tbv, WorldTime};
 use glam::DVec3;
 use rustc_hash::FxHashMap;
@@ -134,13 +136,13 @@ impl Known {
 #[derive(Default)]
 pub(super) struct Places {
     places: FxHashMap<ObjectId, Known>,
-    /// How many it takes to look for what is spent.
-    sweep_at: usize,
+    /// When it was looked last for what is spent.
+    swept_at: WorldTime,
 }
 
 impl Places {
-    /// So few are not worth a look.
-    const SWEEP_LEAST: usize = 16;
+    /// How long what is spent is kept at most: so each place is looked at every few dozen ticks.
+    const SWEEP_PERIOD: Duration = Duration::from_secs(2);
 
     pub fn insert(&mut self, object: ObjectId, known: Known) {
         self.places.insert(object, known);
@@ -154,15 +156,14 @@ impl Places {
         self.places.get(&object)
     }
 
-    /// Forgets what is spent, once there is half as much again as the last look left: so each place is looked at three times or so,
-    /// however many there are.
-    pub fn sweep(&mut self, is_spent: impl Fn(ObjectId, &Known) -> bool) {
-        if self.places.len() < self.sweep_at.max(Self::SWEEP_LEAST) {
+    /// Forgets what is spent, now and then.
+    pub fn sweep(&mut self, tick: WorldTime, is_spent: impl Fn(ObjectId, &Known) -> bool) {
+        if tick.since(self.swept_at) < Self::SWEEP_PERIOD {
             return;
         }
+        self.swept_at = tick;
         self.places.retain(|&object, known| !is_spent(object, known));
-        self.sweep_at = self.places.len() * 3 / 2;
-        self.places.shrink_to(self.sweep_at);
+        self.places.shrink_to(self.places.len() * 3 / 2);
     }
 
     /// Bytes that they take.
@@ -201,8 +202,6 @@ fn grid_offset(seed: u64, pitch: f64) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use eyeline_protocol::ClassId;
     use proptest::prelude::*;
     use rand::{RngExt, SeedableRng};
@@ -396,11 +395,12 @@ mod tests {
     #[test]
     fn what_is_spent_is_forgotten_and_its_memory_given_back() {
         let mut places = Places::default();
-        let known = |i: u32| Known::new(Position::default(), WorldTime::from_micros(i64::from(i)), Issue(0));
+        let step = Duration::from_millis(100);
+        let at = |i: u32| WorldTime::ZERO + step * i;
         for i in 0..1000 {
-            places.insert(ObjectId(i), known(i));
+            places.insert(ObjectId(i), Known::new(Position::default(), at(i), Issue(0)));
             // Of all that was told only the last ten count.
-            places.sweep(|_, known| known.at.micros() + 10 <= i64::from(i));
+            places.sweep(at(i), |_, known| known.at + 10 * step <= at(i));
             assert!((0..=i).rev().take(10).all(|last| places.get(ObjectId(last)).is_some()));
         }
         assert!(places.places.len() < 32 && places.memory_bytes() < 64 * 48, "{} bytes", places.memory_bytes());

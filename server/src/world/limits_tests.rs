@@ -69,6 +69,30 @@ fn full(seq: u32, want: Want) -> (Vec<u8>, usize) {
 }
 
 #[test]
+fn what_was_asked_about_once_takes_no_memory_for_ever() {
+    let chairs = 400;
+    let mut world = world(chairs);
+    let asker = join(&mut world, Role::Avatar);
+    said(&mut world, asker, NONE);
+    let before = world.memory_bytes();
+    let all: Vec<ClientRecord> = (0..chairs as u32).map(|chair| request(chair, Want::Place)).collect();
+    for (seq, asked) in (1..).zip(all.chunks(100)) {
+        world.handle_datagram(asker, &datagram(seq, asked), at(10));
+    }
+    while said(&mut world, asker, at(10)).datagrams > 0 {}
+    assert_eq!(world.stats().out.places, chairs as u64);
+    let asked = world.memory_bytes();
+    // By then no question of these can arrive any more, and each chair may be anywhere in its bound.
+    for tick in 1..=80 {
+        world.handle_datagram(asker, &datagram(10 + tick as u32, &[request(0, Want::Bound)]), at(50 * tick));
+        world.tick(at(50 * tick));
+        said(&mut world, asker, at(50 * tick));
+    }
+    let after = world.memory_bytes();
+    assert!(asked - before > 10_000 && after < before + 2_000, "{before}, {asked}, then {after} bytes");
+}
+
+#[test]
 fn a_datagram_of_requests_costs_an_answer_a_record_and_five_times_its_bytes() {
     let mut world = world(1_000);
     let hostile = join(&mut world, Role::Avatar);

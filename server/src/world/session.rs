@@ -562,7 +562,7 @@ impl Session {
         if subscriptions.len() < subscriptions.capacity() / 4 {
             subscriptions.shrink_to(2 * subscriptions.len());
         }
-        known.sweep(|id, known| is_spent(&objects[id.index()], known));
+        known.sweep(tick, |id, known| is_spent(&objects[id.index()], known));
     }
 
     /// Lets another `elapsed` seconds' bytes go out, and counts what had to wait for them.
