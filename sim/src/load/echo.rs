@@ -36,6 +36,13 @@ pub struct Traffic {
     pub bunches: Option<f64>,
 }
 
+impl Traffic {
+    /// When a frame that is due at `due` is said: with the next bunch.
+    fn said_at(&self, due: Duration) -> Duration {
+        self.bunches.map_or(due, |rate| Duration::from_secs_f64((due.as_secs_f64() * rate).ceil() / rate))
+    }
+}
+
 /// Hands out whole things at a rate that is not whole.
 #[derive(Clone, Copy, Debug, Default)]
 struct Share(f64);
@@ -181,12 +188,10 @@ pub async fn play(
 /// swarm says, whose people each take their time.
 fn keep_time(clients: u32, traffic: Traffic, frames: &tokio::sync::mpsc::UnboundedSender<(usize, Instant)>) {
     let begin = Instant::now() + Duration::from_millis(50);
-    for frame in 0.. {
-        let after = traffic.period.mul_f64(f64::from(frame) / f64::from(clients));
-        let bunch =
-            traffic.bunches.map_or(after, |rate| Duration::from_secs_f64((after.as_secs_f64() * rate).ceil() / rate));
-        std::thread::sleep((begin + bunch).saturating_duration_since(Instant::now()));
-        if frames.send(((frame % clients) as usize, begin + after)).is_err() {
+    for frame in 0u64.. {
+        let due = traffic.period.mul_f64(frame as f64 / f64::from(clients));
+        std::thread::sleep((begin + traffic.said_at(due)).saturating_duration_since(Instant::now()));
+        if frames.send(((frame % u64::from(clients)) as usize, begin + due)).is_err() {
             return;
         }
     }
@@ -202,6 +207,17 @@ mod tests {
         let handed: usize = (0..1000).map(|_| share.take(1.46)).sum();
         assert!((1459..=1460).contains(&handed), "{handed}");
         assert_eq!([share.take(-3.0), share.take(0.0)], [0, 0]);
+    }
+
+    #[test]
+    fn frames_are_said_with_the_next_bunch() {
+        let period = Duration::from_millis(50);
+        let each = Traffic { period, up: 1.0, up_bytes: 60, down: 1.0, down_bytes: 200, bunches: None };
+        let bunched = Traffic { bunches: Some(400.0), ..each };
+        for (due, said) in [(0, 0), (1, 2_500), (2_500, 2_500), (2_600, 5_000), (50_000, 50_000)] {
+            let (due, said) = (Duration::from_micros(due), Duration::from_micros(said));
+            assert_eq!((each.said_at(due), bunched.said_at(due)), (due, said));
+        }
     }
 
     #[test]

@@ -16,6 +16,11 @@ pub struct Usage {
 }
 
 impl Usage {
+    /// Memory, in units of 1,024 bytes.
+    pub fn rss_kb(&self) -> f64 {
+        self.rss_bytes as f64 / 1024.0
+    }
+
     /// Of the process with this number.
     ///
     /// # Errors

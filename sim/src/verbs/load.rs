@@ -363,7 +363,7 @@ fn soak(options: &Load, world: &Path, run: Run, grown: &mut Option<String>) -> a
     let mut samples = Vec::new();
     while began.elapsed().as_secs_f64() < seconds - 1.0 {
         let usage = server.usage()?;
-        samples.push((began.elapsed().as_secs_f64(), usage.rss_bytes as f64 / 1024.0));
+        samples.push((began.elapsed().as_secs_f64(), usage.rss_kb()));
         std::thread::sleep(Duration::from_secs_f64((seconds / 180.0).max(1.0)));
     }
     let told = server.report()?;

@@ -115,6 +115,11 @@ impl Span {
         (self.after.waits - self.before.waits) as f64 / self.passed.as_secs_f64()
     }
 
+    /// How much more memory it had at the end than when it was `empty`, KB.
+    pub fn kb_more_than(&self, empty: &Usage) -> f64 {
+        self.after.rss_kb() - empty.rss_kb()
+    }
+
     /// Percentage of one core that the host took.
     pub fn stolen_percent(&self) -> Option<f64> {
         self.stolen.map(|stolen| 100.0 * stolen.as_secs_f64() / self.passed.as_secs_f64())
@@ -363,11 +368,10 @@ pub fn traffic(text: &str) -> Result<Traffic, String> {
             (period_s, up, up_bytes, down, down_bytes, Some(bunches))
         }
         _ => {
-            return Err(
-                "give five numbers: seconds, datagrams up, their bytes, datagrams down, their bytes; and a sixth if \
-                        you like: in how many bunches a second those up arrive"
-                    .to_owned(),
-            );
+            let wanted = "five numbers: seconds, datagrams up, their bytes, datagrams down, their bytes";
+            return Err(format!(
+                "give {wanted}; and a sixth if you like: in how many bunches a second those up arrive"
+            ));
         }
     };
     for (what, value, range) in [

@@ -34,7 +34,6 @@ pub struct LoadRow {
 impl LoadRow {
     pub fn of(clients: u32, measured: &Measured) -> LoadRow {
         let Measured { empty, span, told, seen } = measured;
-        let kb = |bytes: u64| bytes as f64 / 1024.0;
         let traffic = measured.traffic(clients);
         LoadRow {
             clients,
@@ -44,11 +43,11 @@ impl LoadRow {
             half_tick_ms: told.tick_ms / 2.0,
             sent_p99_ms: told.sent_p99_ms,
             ticks_missed: told.missed,
-            server_cpu_percent: 100.0 * measured.span.cpu_share(),
-            cpu_micros_a_client_tick: 1e6 * measured.span.cpu_share() * told.tick_ms * 1e-3 / f64::from(clients),
-            rss_empty_kb: kb(empty.rss_bytes),
-            rss_full_kb: kb(span.after.rss_bytes),
-            memory_kb_a_client: (kb(span.after.rss_bytes) - kb(empty.rss_bytes)) / f64::from(clients),
+            server_cpu_percent: 100.0 * span.cpu_share(),
+            cpu_micros_a_client_tick: 1e6 * span.cpu_share() * told.tick_ms * 1e-3 / f64::from(clients),
+            rss_empty_kb: empty.rss_kb(),
+            rss_full_kb: span.after.rss_kb(),
+            memory_kb_a_client: span.kb_more_than(empty) / f64::from(clients),
             datagrams_in_a_client_tick: traffic.up,
             datagrams_out_a_client_tick: traffic.down,
             swarm_cpu_percent: seen.cpu_percent,
@@ -176,14 +175,13 @@ pub struct EchoAloneRow {
 impl EchoAloneRow {
     pub fn of(clients: u32, echoed: &Echoed) -> EchoAloneRow {
         let Echoed { empty, span, seen } = echoed;
-        let kb = |bytes: u64| bytes as f64 / 1024.0;
         EchoAloneRow {
             clients,
-            echo_cpu_percent: 100.0 * echoed.span.cpu_share(),
+            echo_cpu_percent: 100.0 * span.cpu_share(),
             swarm_cpu_percent: seen.cpu_percent,
-            rss_empty_kb: kb(empty.rss_bytes),
-            rss_full_kb: kb(span.after.rss_bytes),
-            memory_kb_a_client: (kb(span.after.rss_bytes) - kb(empty.rss_bytes)) / f64::from(clients),
+            rss_empty_kb: empty.rss_kb(),
+            rss_full_kb: span.after.rss_kb(),
+            memory_kb_a_client: span.kb_more_than(empty) / f64::from(clients),
             echo_swarm_late_p99_ms: seen.late_p99_ms,
             stolen_percent: span.stolen_percent(),
             void: seen.is_void(),
